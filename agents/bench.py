@@ -9,7 +9,6 @@ from swarmtrack.arguments import add_commands
 from swarmtrack.errors import SourceError
 
 BENCHMARKS = {
-    "agent": ("swarmtrack.benchmarks.agent_budget", "what an agent costs, next to the design's budgets"),
     "all-round": (
         "swarmtrack.benchmarks.all_round",
         "names with several cameras per drone, and what seams cost them",
@@ -26,7 +25,7 @@ BENCHMARKS = {
     "clips": ("swarmtrack.benchmarks.real_clips", "real drones on labelled clips, through the agent"),
     "cost": (
         "swarmtrack.benchmarks.cost",
-        "what tracking and an agent cost, beside another checkout",
+        "what an agent, metres, a command in formation and being watched cost; or all beside another checkout",
     ),
     "detection-noise": (
         "swarmtrack.benchmarks.detection_noise",
@@ -57,10 +56,6 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.formation.benchmark",
         "flying in formation by sight, the loop closed: slots, separations, who is lost",
     ),
-    "formation-command": (
-        "swarmtrack.benchmarks.formation.command",
-        "what a command in formation costs, and whether it is sound whatever it is told",
-    ),
     "guard": (
         "swarmtrack.benchmarks.guard",
         "what an autopilot hears when its engaged agent is killed, frozen or breaks",
@@ -72,10 +67,6 @@ BENCHMARKS = {
     "misconfigured": (
         "swarmtrack.benchmarks.misconfigured",
         "names when pads, compasses, mountings or starts are wrong",
-    ),
-    "monitor": (
-        "swarmtrack.benchmarks.monitor_cost",
-        "what being watched costs, and the page with thirty drones",
     ),
     "motion": ("swarmtrack.benchmarks.motion", "who is who by how drones move alone"),
     "offset": (
@@ -93,10 +84,6 @@ BENCHMARKS = {
     "relative": (
         "swarmtrack.benchmarks.relative",
         "where teammates are in metres, and whether that is known",
-    ),
-    "relative-cost": (
-        "swarmtrack.benchmarks.relative_cost",
-        "what places in metres cost to read and to publish",
     ),
     "relative-flights": (
         "swarmtrack.benchmarks.relative_flights",

@@ -1,11 +1,10 @@
-"""What an agent costs, beside the budgets of the design: tracker, detector, and whole processes.
+"""What an agent costs: tracker, detector, and whole processes (`swarmtrack bench cost --of agent`).
 
 Functions are timed in this process, median of many calls. The agent is a process of its own, with a MAVLink autopilot
-played over UDP (200 Hz of gyro) and a listener on Zenoh; what it costs is read from /proc and from its health, and its
-latency is measured from outside: from the exposure of a frame to the arrival of the first message with its tracks at
-another process. Start-up is that of the real program on the simulation, from fork to the first confirmed track.
-
-    swarmtrack bench agent [--quick] --out DIR
+played over UDP (200 Hz of gyro), 15 Hz of frames and a listener on Zenoh; what it costs is read from /proc and from its
+health, and its latency is measured from outside: from the exposure of a frame to the arrival of the first message with
+its tracks at another process. Start-up is that of the real program on the simulation, from fork to the first confirmed
+track.
 """
 
 from __future__ import annotations
@@ -15,19 +14,15 @@ import asyncio
 import copy
 import os
 import time
-from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_tracker
+from swarmtrack.benchmarks.figures import Figure, median_s
 from swarmtrack.benchmarks.lone_agent import (
     CAMERA,
     FPS,
-    IMU_HZ,
     agent_process,
     listening,
     scripted_agent,
@@ -37,87 +32,38 @@ from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.detection.detector import Detector
 from swarmtrack.messages import Frame, Scan, StampKind
-from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
+from swarmtrack.tracking import create_tracker
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.wire.health import HealthMessage
 
-NAME = "agent"
 LOOK_MS = 20.0  # what the default model takes at 640 × 480 on one core of a server
 SETTLE_S = 3.0  # after the first tracks: caches warm, the clock map converged
 UPDATE_BUDGET_MS = {"kalman": 0.3, "jpdaf": 0.6, "gmphd": 0.8, "mbm": 2.0}
 
 
-class Line(NamedTuple):
-    """One figure, and the budget that the design gives it; None: it gives none."""
-
-    what: str
-    value: float
-    unit: str
-    budget: float | None = None
-
-    @property
-    def ok(self) -> bool | None:
-        return None if self.budget is None else self.value <= self.budget
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, tracker=args.tracker, quick=args.quick)
-
-
-def publish(out: Path, *, tracker: str = DEFAULT_TRACKER, quick: bool = False) -> dict[str, Any]:
-    """Measure everything; agent.json and agent.md into `out`. quick: a tenth of the time, figures for orientation."""
-    repeats, seconds = (50, 3.0) if quick else (1000, 20.0)
-    parts: list[tuple[str, Callable[[], list[Line]]]] = [
-        ("tracker", lambda: tracker_lines(tracker, repeats)),
-        ("detector", lambda: detector_lines(max(repeats // 10, 10))),
-        ("agent without the detector", lambda: agent_lines(tracker, seconds)),
-        ("agent with a prompt detector", lambda: prompt_lines(tracker, seconds / 2.0)),
-        ("agent with the detector", lambda: detecting_lines(tracker, seconds)),
-        ("start-up", lambda: startup_lines(1 if quick else 3)),
+def measured(args: argparse.Namespace) -> list[Figure]:
+    """Of --tracker; with --quick a tenth of the time, figures for orientation."""
+    repeats, seconds = (50, 3.0) if args.quick else (1000, 20.0)
+    return [
+        *tracker_lines(args.tracker, repeats),
+        *detector_lines(max(repeats // 10, 10)),
+        *agent_lines(args.tracker, seconds),
+        *prompt_lines(args.tracker, seconds / 2.0),
+        *detecting_lines(args.tracker, seconds),
+        *startup_lines(1 if args.quick else 3),
     ]
-    lines: list[Line] = []
-    with report.progress("agent", len(parts)) as advance:
-        for name, measure in parts:
-            lines += measure()
-            advance(name)
-    result = {
-        "tracker": tracker,
-        "lines": [
-            {"what": line.what, "value": line.value, "unit": line.unit, "budget": line.budget, "ok": line.ok}
-            for line in lines
-        ],
-    }
-    report.write(out, NAME, result, _markdown(lines))
-    return result
 
 
 # --- functions in this process -----------------------------------------------------------------------
 
 
-def median_seconds(function: Callable[[], object], repeats: int) -> float:
-    """Median duration of a call, the first ones not counted."""
-    for _ in range(3):
-        function()
-    durations = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        function()
-        durations.append(time.perf_counter() - began)
-    return float(np.median(durations))
-
-
-def tracker_lines(name: str, repeats: int) -> list[Line]:
+def tracker_lines(name: str, repeats: int) -> list[Figure]:
     turn = np.eye(3)  # a rotation is always given in flight
     lines = []
     for n, budget in ((10, 50.0), (200, None)):
         tracker = _tracking(name, n)
-        duration = median_seconds(partial(tracker.at, 0.05, turn, 1e-6), repeats)
-        lines.append(Line(f"`at(now)`, {n} tracks, {name}", 1e6 * duration, "µs", budget))
+        duration = median_s(partial(tracker.at, 0.05, turn, 1e-6), repeats)
+        lines.append(Figure(f"`at(now)`, {n} tracks, {name}", 1e6 * duration, "µs", budget))
     crowd, scan = _crowd(name)
     durations = []
     for _ in range(repeats):
@@ -126,7 +72,7 @@ def tracker_lines(name: str, repeats: int) -> list[Line]:
         fresh.update(scan)
         durations.append(time.perf_counter() - began)
     what = f"update, 8 tracks × 18 detections in one gate, {name}"
-    return [*lines, Line(what, 1e3 * float(np.median(durations)), "ms", UPDATE_BUDGET_MS.get(name))]
+    return [*lines, Figure(what, 1e3 * float(np.median(durations)), "ms", UPDATE_BUDGET_MS.get(name))]
 
 
 def _tracking(name: str, n: int) -> Tracker:
@@ -145,7 +91,7 @@ def _crowd(name: str) -> tuple[Tracker, Scan]:
     return tracker, Scan(1.0 / FPS, np.array([320.0, 240.0]) + rng.normal(0.0, 2.0, (18, 2)))
 
 
-def detector_lines(repeats: int) -> list[Line]:
+def detector_lines(repeats: int) -> list[Figure]:
     detector = Detector()
     rng = np.random.default_rng(4)
     lines = []
@@ -153,9 +99,9 @@ def detector_lines(repeats: int) -> list[Line]:
         detector.warm_up(width, height)
         image = rng.integers(90, 160, (height, width, 3), dtype=np.uint8)
         frame = Frame(0.0, 0.0, 0, image, StampKind.MEDIA)
-        duration = median_seconds(partial(detector.look, detector.plan(frame)), repeats)
+        duration = median_s(partial(detector.look, detector.plan(frame)), repeats)
         lines.append(
-            Line(f"detector, default model, {width} × {height}, one thread", 1e3 * duration, "ms", budget)
+            Figure(f"detector, default model, {width} × {height}, one thread", 1e3 * duration, "ms", budget)
         )
     return lines
 
@@ -172,37 +118,37 @@ class Measured(NamedTuple):
     health: HealthMessage
 
 
-def agent_lines(tracker: str, seconds: float) -> list[Line]:
+def agent_lines(tracker: str, seconds: float) -> list[Figure]:
     """An agent without the detector: one that sleeps as long as the default model takes stands in for it."""
     measured = measure_agent(tracker, seconds, ["--look-ms", str(LOOK_MS)])
     p50, p95 = (latency - LOOK_MS for latency in measured.latency_ms)
     who = "agent without the detector, 5 tracks:"
     return [
-        Line(f"{who} gyro samples reaching Onboard", measured.health.rates["imu"].got_hz, "Hz"),
-        Line(f"{who} CPU", measured.cpu_percent, "% of a core", 6.0),
-        Line(f"{who} memory, the idle model included", measured.rss_mb, "MB", 150.0),
-        Line("frame exposed → tracks heard elsewhere, beyond the detector, median", p50, "ms"),
-        Line("frame exposed → tracks heard elsewhere, beyond the detector, p95", p95, "ms", 10.0),
+        Figure(f"{who} gyro samples reaching Onboard", measured.health.rates["imu"].got_hz, "Hz"),
+        Figure(f"{who} CPU", measured.cpu_percent, "% of a core", 6.0),
+        Figure(f"{who} memory, the idle model included", measured.rss_mb, "MB", 150.0),
+        Figure("frame exposed → tracks heard elsewhere, beyond the detector, median", p50, "ms"),
+        Figure("frame exposed → tracks heard elsewhere, beyond the detector, p95", p95, "ms", 10.0),
     ]
 
 
-def prompt_lines(tracker: str, seconds: float) -> list[Line]:
+def prompt_lines(tracker: str, seconds: float) -> list[Figure]:
     """The same with a detector that answers at once, so that every scan waits for the gyro to reach its exposure."""
     _, p95 = measure_agent(tracker, seconds, ["--look-ms", "0"]).latency_ms
-    return [Line("the same, p95, with a detector that takes no time at all", p95, "ms")]
+    return [Figure("the same, p95, with a detector that takes no time at all", p95, "ms")]
 
 
-def detecting_lines(tracker: str, seconds: float) -> list[Line]:
+def detecting_lines(tracker: str, seconds: float) -> list[Figure]:
     """An agent whose detector looks at every frame."""
     measured = measure_agent(tracker, seconds, ["--detector"])
     p50, p95 = measured.latency_ms
     who = f"agent with the detector at {CAMERA.width} × {CAMERA.height}:"
     return [
-        Line(f"{who} CPU", measured.cpu_percent, "% of a core"),
-        Line(f"{who} memory", measured.rss_mb, "MB"),
-        Line(f"{who} frame exposed → tracks heard elsewhere, median", p50, "ms"),
-        Line(f"{who} frame exposed → tracks heard elsewhere, p95", p95, "ms"),
-        Line(f"{who} in the detector, median", 1e3 * measured.health.latencies["detector"].p50_s, "ms"),
+        Figure(f"{who} CPU", measured.cpu_percent, "% of a core"),
+        Figure(f"{who} memory", measured.rss_mb, "MB"),
+        Figure(f"{who} frame exposed → tracks heard elsewhere, median", p50, "ms"),
+        Figure(f"{who} frame exposed → tracks heard elsewhere, p95", p95, "ms"),
+        Figure(f"{who} in the detector, median", 1e3 * measured.health.latencies["detector"].p50_s, "ms"),
     ]
 
 
@@ -225,7 +171,7 @@ async def _measure_agent(tracker: str, seconds: float, options: list[str]) -> Me
         return Measured(cpu_percent, rss_mb(process.pid), (p50, p95), heard.health)
 
 
-def startup_lines(times: int) -> list[Line]:
+def startup_lines(times: int) -> list[Figure]:
     """The real program on the simulation, from fork to the first confirmed track heard."""
     durations = []
     for _ in range(times):
@@ -248,28 +194,7 @@ def startup_lines(times: int) -> list[Line]:
 
         durations.append(asyncio.run(first_track()))
     return [
-        Line(
+        Figure(
             "start of the program → first confirmed track heard, simulation", float(np.median(durations)), "s"
         )
     ]
-
-
-def _markdown(lines: list[Line]) -> str:
-    rows = [
-        [
-            line.what,
-            f"{line.value:.3g} {line.unit}",
-            "–" if line.budget is None else f"{line.budget:g} {line.unit}",
-            {None: "", True: "ok", False: "**over**"}[line.ok],
-            "–" if line.budget is None else f"{line.value / line.budget:.2f}",
-        ]
-        for line in lines
-    ]
-    header = ["what", "found", "budget", "", "found / budget"]
-    return "\n\n".join(
-        [
-            "# Agent",
-            f"Agent: {IMU_HZ} Hz of gyro by MAVLink over UDP, {FPS:g} Hz of frames, tracks and health on Zenoh.",
-            report.table(header, rows),
-        ]
-    )

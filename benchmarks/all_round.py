@@ -9,33 +9,30 @@ after it came into view.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import (
-    add_common,
-    add_processes,
-    add_scenarios,
-    add_seeds,
-    add_tracker,
+from swarmtrack.benchmarks.harness import (
+    PROCESSES,
+    TRACKER,
+    Flights,
+    Row,
+    scenarios,
+    seeds,
+    share,
+    shares,
 )
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
-from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.lab.score.swarm_score import GRACE, Glance, SwarmScore
 
-NAME = "all-round"
 SCENARIOS = ("all-round", "two-cameras")
-SEEDS, QUICK_SEEDS = 20, 2
 # s: of a flight; at a seam after a crossing.
 SECONDS, QUICK_SECONDS = 30.0, 12.0
 SEAM_S = 1.0
@@ -112,105 +109,57 @@ def fly(scenario: str, seconds: float, tracker: str, seed: int) -> Flight:
     return Flight(score, watch.crossings, at_seams, elsewhere)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    add_scenarios(parser, SCENARIOS)
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(
-        args.out,
-        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        seconds=QUICK_SECONDS if args.quick else SECONDS,
-        scenarios=args.scenarios,
-        tracker=args.tracker,
-        processes=args.processes,
-    )
-
-
-def publish(
-    out: Path,
-    *,
-    seeds: int,
-    seconds: float,
-    scenarios: Sequence[str],
-    tracker: str,
-    processes: int | None = None,
-) -> dict[str, Any]:
-    """Fly everything, write all-round.json and all-round.md into `out` after each scenario."""
-    found: dict[str, Any] = {}
-    result = {"seeds": seeds, "seconds": seconds, "tracker": tracker, "scenarios": found}
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, len(scenarios) * seeds) as advance,
-    ):
-        for scenario in scenarios:
-            flights = []
-            for flight in pool.imap(partial(fly, scenario, seconds, tracker), range(1, seeds + 1)):
-                flights.append(flight)
-                advance(scenario)
-            found[scenario] = summary(flights)
-            report.write(out, NAME, result, _markdown(result))
-    return result
-
-
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:
     """The columns of one row of the table."""
     scores = [flight.score for flight in flights]
-    samples = np.array([score.samples for score in scores], dtype=float)
-
-    def share(of: str) -> dict[str, float]:
-        hits = np.nan_to_num([getattr(score, of) for score in scores]) * samples
-        return fraction_interval(hits, samples)._asdict()
-
-    def nameless(where: str) -> dict[str, float]:
-        trials, hits = np.array([getattr(flight, where) for flight in flights], dtype=float).T
-        return fraction_interval(hits, trials)._asdict()
-
+    at_seams, elsewhere = (
+        np.array([getattr(flight, where) for flight in flights]) for where in ("at_seams", "elsewhere")
+    )
     return {
-        **{of: share(of) for of in ("correct", "wrong", "unknown")},
-        "samples": int(samples.sum()),
+        **shares(scores, "correct", "wrong", "unknown"),
+        "samples": sum(score.samples for score in scores),
         "crossings": sum(flight.crossings for flight in flights),
-        "nameless_at_seams": nameless("at_seams"),
-        "nameless_elsewhere": nameless("elsewhere"),
+        "nameless_at_seams": share(at_seams[:, 1], at_seams[:, 0]),
+        "nameless_elsewhere": share(elsewhere[:, 1], elsewhere[:, 0]),
         "false_tracks_per_s": float(np.mean([score.false_tracks_per_s for score in scores])),
         "switches": sum(score.switches for score in scores),
         "worst_rmse_px": max(px for score in scores for px in score.rmse_px.values()),
     }
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    def percent(interval: dict[str, float]) -> str:
-        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
-        return f"{value:.3f} ({low:.3f} … {high:.3f})"
+def _seconds(args: argparse.Namespace) -> float:
+    return QUICK_SECONDS if args.quick else SECONDS
 
-    rows = [
-        [
+
+BENCH = Flights(
+    name="all-round",
+    title="Names with several cameras",
+    about="{seeds} flights of {seconds:g} s per row, synthetic detections, tracker `{tracker}`, no processes; "
+    "shares with 95 % intervals over flights.",
+    seeds=seeds(20, quick=2),
+    options=(TRACKER, scenarios(SCENARIOS), PROCESSES),
+    rows=lambda args: [
+        Row(
             name,
-            percent(found["correct"]),
-            percent(found["wrong"]),
-            percent(found["unknown"]),
-            str(found["crossings"]),
-            percent(found["nameless_at_seams"]),
-            percent(found["nameless_elsewhere"]),
-            report.number(found["false_tracks_per_s"], 4),
-            str(found["switches"]),
-            report.number(found["worst_rmse_px"], 2),
-        ]
-        for name, found in result["scenarios"].items()
-    ]
-    header = [
-        "scenario", "right, %", "wrong, %", "unknown, %", "crossings", "nameless at seams, %",
-        "nameless elsewhere, %", "false tracks per s", "switches", "worst RMSE, px",
-    ]  # fmt: skip
-    return "\n\n".join(
-        [
-            "# Names with several cameras",
-            f"{result['seeds']} flights of {result['seconds']:g} s per row, synthetic detections, tracker "
-            f"`{result['tracker']}`, no processes; shares with 95 % intervals over flights.",
-            report.table(header, rows),
-        ]
-    )
+            partial(fly, name, _seconds(args), args.tracker),
+            summary,
+            {"name": name},
+            ("scenarios", name),
+        )
+        for name in args.scenarios
+    ],
+    facts=lambda args: {"seeds": args.seeds, "seconds": _seconds(args), "tracker": args.tracker},
+    columns=(
+        ("scenario", "{name}"),
+        ("right, %", "{correct:.3p}"),
+        ("wrong, %", "{wrong:.3p}"),
+        ("unknown, %", "{unknown:.3p}"),
+        ("crossings", "{crossings}"),
+        ("nameless at seams, %", "{nameless_at_seams:.3p}"),
+        ("nameless elsewhere, %", "{nameless_elsewhere:.3p}"),
+        ("false tracks per s", "{false_tracks_per_s:.4f}"),
+        ("switches", "{switches}"),
+        ("worst RMSE, px", "{worst_rmse_px:.2f}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

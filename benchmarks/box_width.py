@@ -23,7 +23,6 @@ import argparse
 import dataclasses
 import json
 import math
-import multiprocessing
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -31,9 +30,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.arguments import add_flag, add_folder, require_extra
+from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_second_stage, add_seeds
+from swarmtrack.benchmarks.harness import (
+    PROCESSES,
+    SECOND_STAGE,
+    Benchmark,
+    flag,
+    flown,
+    option,
+    path,
+    seeds,
+)
 from swarmtrack.benchmarks.trackers.clips import frames
 from swarmtrack.calibration.box_width import (
     FEWEST_OF_DRONE,
@@ -63,7 +71,6 @@ from swarmtrack.training.dataset import cut_out
 from swarmtrack.training.labelled_clips import drone_clips, read_truth
 
 NAME = "box-width"
-SEEDS, QUICK_SEEDS = 30, 5
 USUAL = Airframe()
 SHAPES = {
     "usual": USUAL,
@@ -239,83 +246,37 @@ def stated(drawn: WidthFit, real: BoxWidth) -> BoxWidth:
     return dataclasses.replace(drawn.width, **worse, wander_s=real.wander_s)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    add_processes(parser)
-    parser.add_argument(
-        "--model", default="default", metavar="FILE", help='"default" or an .onnx file (default: %(default)s)'
-    )
-    add_second_stage(parser)
-    add_folder(parser, "--clips", "labelled clips of real drones: pairs of NAME.mp4 and NAME_gt.csv")
-    add_flag(parser, "--write", "write what was found into the model's metadata")
-
-
-def run(args: argparse.Namespace) -> None:
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
     if args.write:
         require_extra("train", "onnx", of="--write")
-    result = publish(
-        args.out,
-        args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        model=args.model,
-        second_stage=args.second_stage,
-        clips=args.clips,
-        clip_limit=2 if args.quick else None,
-        processes=args.processes,
-    )
-    if args.write:
-        # Only who writes models needs the package `onnx`.
-        from swarmtrack.training.annotation import annotate  # noqa: PLC0415
-
-        detector = Detector(args.model, second_stage=args.second_stage)
-        second = telling(detector)
-        path = detector.path if second is None else second.path
-        annotate(path, {"box_width": json.dumps(result["stated"])})
-
-
-def publish(
-    out: Path,
-    seeds: int,
-    *,
-    model: str = "default",
-    second_stage: str = "auto",
-    clips: Path | None = None,
-    clip_limit: int | None = None,
-    processes: int | None = None,
-) -> dict[str, Any]:
-    """Fly everything, write box-width.json, .md and .png into `out`, and return what is in the JSON."""
-    plt = report.pyplot()
-    flights = []
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, seeds) as advance,
-    ):
-        for flight in pool.imap(partial(fly, model, second_stage), range(1, seeds + 1)):
-            flights.append(flight)
-            advance("")
-    detector = Detector(model, second_stage=second_stage)
+    parts = [("", partial(fly, args.model, args.second_stage))]
+    (flights,) = flown(NAME, parts, range(1, args.seeds + 1), processes=args.processes)
+    detector = Detector(args.model, second_stage=args.second_stage)
     flights = answered(detector, flights)
     drawn = fit_box_width(flights)
     rows = {"drawn": _record(drawn, flights)}
     real = BoxWidth()
-    if clips is not None:
-        seen = RealWidths(*(answered(detector, some) for some in on_clips(clips, detector, limit=clip_limit)))
-        real = (by_sight := fit_box_width(seen.visible)).width
-        rows |= {
-            "labels": _record(fit_box_width(seen.labels), seen.labels),
-            "visible": _record(by_sight, seen.visible),
-        }
-    second = detector.second_stage
-    result = {
-        "model": model_path(model).name,
+    if args.clips is not None:
+        labels, visible = (
+            answered(detector, some)
+            for some in on_clips(args.clips, detector, limit=2 if args.quick else None)
+        )
+        real = (by_sight := fit_box_width(visible)).width
+        rows |= {"labels": _record(fit_box_width(labels), labels), "visible": _record(by_sight, visible)}
+    says, second = dataclasses.asdict(stated(drawn, real)), detector.second_stage
+    if args.write:
+        # Only who writes models needs the package `onnx`.
+        from swarmtrack.training.annotation import annotate  # noqa: PLC0415
+
+        spans = telling(detector)
+        annotate(detector.path if spans is None else spans.path, {"box_width": json.dumps(says)})
+    return {
+        "model": model_path(args.model).name,
         "second_stage": None if second is None else second.path.name,
         "of": "a box" if telling(detector) is None else "a span as the second stage answers it",
         "rows": rows,
-        "stated": dataclasses.asdict(stated(drawn, real)),
+        "stated": says,
     }
-    report.write(out, NAME, result, _markdown(result))
-    _plot(plt, out / f"{NAME}.png", flights, drawn.width)
-    return result
 
 
 def _record(found: WidthFit, drones: Sequence[Widths]) -> dict[str, Any]:
@@ -327,52 +288,53 @@ def _record(found: WidthFit, drones: Sequence[Widths]) -> dict[str, Any]:
     }
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    names = {
-        "drawn": "drawn drones, beside the span",
-        "labels": "real drones, beside the label",
-        "visible": "… beside what is visible",
-    }
-    rows = [
-        [names[key], str(row["drones"]), str(row["boxes"]), *_numbers(row), *_ranges(row["ranges"])]
-        for key, row in result["rows"].items()
-    ]
-    rows.append(["for the metadata", "", "", *_numbers(result["stated"]), "", "", ""])
-    header = [
-        "", "drones", "boxes", "factor", "padding, px", "drone to drone, %", "wandering, %", "within, s", "white, %",
-        "ranges: bias, %", "drone to drone, %", "within one, %",
-    ]  # fmt: skip
-    words = (
+COLUMNS: report.Columns = (
+    ("", "{name}"),
+    ("drones", "{drones}"),
+    ("boxes", "{boxes}"),
+    ("factor", "{factor:.2f}"),
+    ("padding, px", "{padding_px:.1f}"),
+    ("drone to drone, %", "{drone_sigma:.0p}"),
+    ("wandering, %", "{wander_sigma:.0p}"),
+    ("within, s", "{wander_s:.1f}"),
+    ("white, %", "{white_sigma:.0p}"),
+    ("ranges: bias, %", "{ranges[bias]:.1p}"),
+    ("drone to drone, %", "{ranges[drone]:.1p}"),
+    ("within one, %", "{ranges[within]:.1p}"),
+)
+ROW_NAMES = {
+    "drawn": "drawn drones, beside the span",
+    "labels": "real drones, beside the label",
+    "visible": "… beside what is visible",
+    "stated": "for the metadata",
+}
+NOT_STATED = {"drones": None, "boxes": None, "ranges": dict.fromkeys(RangeErrors._fields)}
+
+
+def _page(result: dict[str, Any]) -> str:
+    rows = {**result["rows"], "stated": NOT_STATED | result["stated"]}
+    return report.page(
+        "# How wide boxes are",
         f"`{result['model']}`, second stage `{result['second_stage']}`, looking as an agent does at drawn drones of "
         f"{len(SHAPES)} shapes, and at whole frames of real ones. Width of {result['of']} = factor · width + padding; "
-        "errors of its logarithm, and of that of the distance that it tells."
+        "errors of its logarithm, and of that of the distance that it tells.",
+        report.table_of(COLUMNS, [{"name": ROW_NAMES[key], **row} for key, row in rows.items()]),
     )
-    return "\n\n".join(["# How wide boxes are", words, report.table(header, rows)])
 
 
-def _numbers(row: dict[str, float]) -> list[str]:
-    return [
-        report.number(row["factor"]),
-        report.number(row["padding_px"], 1),
-        report.number(100.0 * row["drone_sigma"], 0),
-        report.number(100.0 * row["wander_sigma"], 0),
-        report.number(row["wander_s"], 1),
-        report.number(100.0 * row["white_sigma"], 0),
-    ]
-
-
-def _ranges(errors: dict[str, float]) -> list[str]:
-    return [report.number(100.0 * errors[key], 1) for key in ("bias", "drone", "within")]
-
-
-def _plot(plt: Any, path: Path, flights: Sequence[Widths], width: BoxWidth) -> None:
-    figure, axes = plt.subplots(figsize=(7.0, 4.5), layout="constrained")
-    for flight in flights:
-        axes.plot(flight.span_px, flight.box_px, ".", markersize=2, color="tab:blue", alpha=0.4)
-    x = np.linspace(NARROWEST_PX, NEAREST_PX, 100)
-    words = f"{width.factor:.2f} · span + {width.padding_px:.1f} px"
-    axes.plot(x, width.factor * x + width.padding_px, color="black", label=words)
-    axes.set(xlabel="width of the span, px", ylabel="width of the box, px", ylim=(0.0, 1.6 * NEAREST_PX))
-    axes.legend()
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    _page,
+    options=(
+        seeds(30, quick=5),
+        PROCESSES,
+        option(
+            "--model", '"default" or an .onnx file (default: %(default)s)', default="default", metavar="FILE"
+        ),
+        SECOND_STAGE,
+        path("--clips", "labelled clips of real drones: pairs of NAME.mp4 and NAME_gt.csv"),
+        flag("--write", "write what was found into the model's metadata"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -13,7 +13,6 @@ The rendered frames go through the same functions as those of `swarmtrack calibr
 from __future__ import annotations
 
 import argparse
-import math
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from itertools import chain
 from pathlib import Path
@@ -23,7 +22,7 @@ import cv2
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds
+from swarmtrack.benchmarks.harness import Benchmark, seeds
 from swarmtrack.calibration.board import KINDS, Board, Kind
 from swarmtrack.calibration.extrinsics import doubts
 from swarmtrack.calibration.image_motion import ImageMotion
@@ -37,7 +36,6 @@ from swarmtrack.messages import Array
 from swarmtrack.motion.hand_eye import GyroTurns, HandEye, compare, solve
 
 NAME = "calibration"
-SEEDS, QUICK_SEEDS = 20, 4
 SECONDS, FPS, IMU_HZ = 16.0, 15.0, 200.0  # a quarter of the minute that the command takes
 EYE = PinholeCamera(215.0, 216.0, 161.0, 118.0, 320, 240, RadTan((-0.25, 0.06, 0.001, -0.0005)))
 GYRO_NOISE, GYRO_BIAS = 0.005, 0.01  # rad/s, a sample's; an axis'
@@ -130,45 +128,31 @@ def ray_error_px(found: PinholeCamera, truth: PinholeCamera) -> float:
     return truth.fx * float(np.sqrt((np.linalg.norm(a[sound] @ R.T - b[sound], axis=1) ** 2).mean()))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS))
-
-
-def publish(out: Path, *, seeds: int) -> None:
-    """calibration.json, .md and a plot in `out`."""
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """calibration.png into `args.out`, too."""
     report.pyplot()  # before the work, not after it, should it be missing
     boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
-    each = max(seeds // 6, 2)
+    each = max(args.seeds // 6, 2)
     with (
-        report.progress("calibration", seeds + each * len(boards)) as advance,
+        report.progress(NAME, args.seeds + each * len(boards)) as advance,
         ProcessPoolExecutor(initializer=cv2.setNumThreads, initargs=(1,)) as pool,
     ):
-        by_hand = [pool.submit(hand_turned, seed) for seed in range(seeds)]
+        by_hand = [pool.submit(hand_turned, seed) for seed in range(args.seeds)]
         by_board = {
-            (kind, model): [pool.submit(board_shown, seed, kind, model) for seed in range(each)]
-            for kind, model in boards
+            board: [pool.submit(board_shown, seed, *board) for seed in range(each)] for board in boards
         }
         everything: list[Future[Any]] = [*by_hand, *chain.from_iterable(by_board.values())]
         for _ in as_completed(everything):
             advance("")
     minutes = [done.result() for done in by_hand]
-    extrinsics = _extrinsics(minutes)
-    intrinsics = [
-        _intrinsics(kind, model, [done.result() for done in shown])
-        for (kind, model), shown in by_board.items()
-    ]
-    report.write(
-        out,
-        NAME,
-        {"seconds": SECONDS, "extrinsics": extrinsics, "intrinsics": intrinsics},
-        _markdown(extrinsics, intrinsics),
-    )
-    _plot(out, minutes)
+    _plot(args.out / f"{NAME}.png", minutes)
+    return {
+        "seconds": SECONDS,
+        "extrinsics": _extrinsics(minutes),
+        "intrinsics": [
+            _intrinsics(*board, [done.result() for done in shown]) for board, shown in by_board.items()
+        ],
+    }
 
 
 def _extrinsics(minutes: list[Minute]) -> dict[str, Any]:
@@ -203,51 +187,51 @@ def _intrinsics(kind: Kind, model: Model, shown: list[Shown]) -> dict[str, Any]:
     }
 
 
-def _markdown(extrinsics: dict[str, Any], intrinsics: list[dict[str, Any]]) -> str:
-    e = extrinsics
-    number = report.number
-    rotation_row = [number(e[f"rotation_{what}_deg"], 3) for what in ("rms", "worst", "sigma")]
-    offset_row = [number(1e3 * e[f"offset_{what}_s"], 2) for what in ("rms", "worst", "sigma")]
-    hand = report.table(
-        ["by hand", "RMS", "worst", "σ claimed"],
-        [["rotation, °", *rotation_row], ["offset, ms", *offset_row]],
-    )
-    boards = report.table(
-        ["board, lens", "views", "corners miss, px RMS", "fx off, worst, %", "rays off, px RMS"],
-        [
-            [f"{i['board']}, {i['model']}", number(i["views"], 0), number(i["rms_px"], 3),
-             number(i["focal_worst_percent"], 3), number(i["ray_rms_px"], 3)]
-            for i in intrinsics
-        ],
-    )  # fmt: skip
-    claim = (
+def _page(result: dict[str, Any]) -> str:
+    e = result["extrinsics"]
+    by_hand = [
+        [report.filled(f"{{{what}_{of}{unit}:{form}}}", e) for of in ("rms", "worst", "sigma")]
+        for what, unit, form in (("rotation", "_deg", ".3f"), ("offset", "_s", ".2m"))
+    ]
+    rows = [["rotation, °", *by_hand[0]], ["offset, ms", *by_hand[1]]]
+    return report.page(
+        "# Calibration",
+        report.table(
+            ["by hand", "RMS", "worst", "σ claimed"],
+            rows,
+        ),
         f"{e['within']} of {e['seeds']} turns within {WITHIN_DEG:g}° and {1e3 * WITHIN_S:g} ms, "
-        f"{e['believed']} of them believed."
+        f"{e['believed']} of them believed.",
+        report.table_of(
+            (
+                ("board, lens", "{board}, {model}"),
+                ("views", "{views:.0f}"),
+                ("corners miss, px RMS", "{rms_px:.3f}"),
+                ("fx off, worst, %", "{focal_worst_percent:.3f}"),
+                ("rays off, px RMS", "{ray_rms_px:.3f}"),
+            ),
+            result["intrinsics"],
+        ),
     )
-    return f"# Calibration\n\n{hand}\n\n{claim}\n\n{boards}\n"
 
 
-def _plot(out: Path, minutes: list[Minute]) -> None:
-    plt = report.pyplot()
-    figure, axes = plt.subplots(1, 2, figsize=(9, 3.6))
-    for axis, errors, sigmas, name in (
-        (
-            axes[0],
-            [math.degrees(m.rotation_error) for m in minutes],
-            [math.degrees(float(np.linalg.norm(m.found.rotation_sigma))) for m in minutes],
-            "rotation, °",
-        ),
-        (
-            axes[1],
-            [1e3 * abs(m.offset_error) for m in minutes],
-            [1e3 * m.found.time_offset_sigma_s for m in minutes],
-            "offset, ms",
-        ),
+def _plot(path: Path, minutes: list[Minute]) -> None:
+    figure, axes = report.pyplot().subplots(1, 2, figsize=(9, 3.6))
+    share = np.arange(1, len(minutes) + 1)
+    angles = [[m.rotation_error, float(np.linalg.norm(m.found.rotation_sigma))] for m in minutes]
+    offsets = [[abs(m.offset_error), m.found.time_offset_sigma_s] for m in minutes]
+    for axis, name, values in (
+        (axes[0], "rotation, °", np.degrees(angles)),
+        (axes[1], "offset, ms", 1e3 * np.array(offsets)),
     ):
-        axis.plot(sorted(errors), np.arange(1, len(errors) + 1), "o-", color="#4477aa", label="error")
-        axis.plot(sorted(sigmas), np.arange(1, len(sigmas) + 1), "x--", color="#cc6677", label="σ claimed")
+        errors, sigmas = np.sort(values, axis=0).T
+        axis.plot(errors, share, "o-", color="#4477aa", label="error")
+        axis.plot(sigmas, share, "x--", color="#cc6677", label="σ claimed")
         axis.set(xlabel=name, ylabel="turns with less", xlim=(0, None))
         axis.legend()
     figure.tight_layout()
-    figure.savefig(out / f"{NAME}.png", dpi=110)
-    plt.close(figure)
+    report.save(figure, path, dpi=110)
+
+
+BENCH = Benchmark(NAME, _measured, _page, options=(seeds(20, quick=4),))
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -26,14 +26,12 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_clips, add_common
-from swarmtrack.benchmarks.report import number
+from swarmtrack.benchmarks.harness import CLIPS, Benchmark
 from swarmtrack.benchmarks.trackers.clips import look
 from swarmtrack.detection.detector import Detector
 from swarmtrack.lab.score.clip_score import TrackPoints, TruthBoxes, match_hits
@@ -41,7 +39,6 @@ from swarmtrack.lab.score.intervals import Interval
 from swarmtrack.messages import Array, Detections
 from swarmtrack.training.labelled_clips import drone_clips, read_truth
 
-NAME = "detection-noise"
 QUICK_CLIPS = 2
 THIRD = np.array([1.0, -3.0, 3.0, -1.0])
 GAIN = float(THIRD @ THIRD)
@@ -237,21 +234,9 @@ def measure(drones: Sequence[Sightings]) -> dict[str, Any]:
     return {"sides": sides, "scores": scores, **fitted}
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_clips(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, args.data, limit=QUICK_CLIPS if args.quick else None)
-
-
-def publish(out: Path, data: Path, *, limit: int | None = None) -> dict[str, Any]:
-    """Look at every clip below `data` (at most `limit`); detection-noise.json and .md into `out`.
-
-    Returns what is in the JSON.
-    """
-    clips = drone_clips(data)[:limit]
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """Look at every clip."""
+    clips = drone_clips(args.data)[: QUICK_CLIPS if args.quick else None]
     detector = Detector()
     drones: list[Sightings] = []
     pairs = []
@@ -261,50 +246,45 @@ def publish(out: Path, data: Path, *, limit: int | None = None) -> dict[str, Any
             drones += pair(seen, truth, clip.fps)
             pairs.append(told_apart(seen, truth))
             advance(clip.name)
-    result = {
+    return {
         "clips": [clip.name for clip in clips],
         "drones": len(drones),
         **measure(drones),
         "apart": by_distance(np.concatenate(pairs)),
     }
-    report.write(out, NAME, result, _markdown(result))
-    return result
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    sides = [
-        [
-            number(row["side_px"], 0),
-            str(row["pairs"]),
-            *(number(row[key]) for key in ("box_px", "label_px", "shaking_px")),
-        ]
-        for row in result["sides"]
-    ]
-    scores = [
-        [number(row["score"]), str(row["pairs"]), number(100.0 * row["share_of_side"], 1)]
-        for row in result["scores"]
-    ]
-    apart = [
-        [number(row["sides_apart"]), str(row["pairs"]), number(100.0 * row["both_found"], 0)]
-        for row in result["apart"]
-    ]
-    fitted = [
-        [name, *(number(result[name][key], 4) for key in ("value", "low", "high"))]
-        for name in ("floor_px", "size_noise", "score_noise")
-    ]
-    return "\n\n".join(
-        [
-            "# Detection noise",
-            f"{result['drones']} labelled drones in {len(result['clips'])} clips, frame to frame, per axis.",
-            f"By the box's side, of score {SURE:g} and more:",
-            report.table(
-                ["side, px", "pairs", "σ of boxes, px", "σ of labels, px", "shaking of both, px"], sides
-            ),
-            "By score, all sizes, beside the error of the frames around:",
-            report.table(["score", "pairs", "σ, % of the side"], scores),
-            "σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²), 95 % over drones:",
-            report.table(["", "fit", "from", "to"], fitted),
-            "Of two labelled drones, by their distance, both found:",
-            report.table(["mean sides apart", "pairs", "both found, %"], apart),
-        ]
+SIDE_COLUMNS = (
+    ("side, px", "{side_px:.0f}"),
+    ("pairs", "{pairs}"),
+    ("σ of boxes, px", "{box_px:.2f}"),
+    ("σ of labels, px", "{label_px:.2f}"),
+    ("shaking of both, px", "{shaking_px:.2f}"),
+)
+SCORE_COLUMNS = (("score", "{score:.2f}"), ("pairs", "{pairs}"), ("σ, % of the side", "{share_of_side:.1p}"))
+FIT_COLUMNS = (("", "{name}"), ("fit", "{value:.4f}"), ("from", "{low:.4f}"), ("to", "{high:.4f}"))
+APART_COLUMNS = (
+    ("mean sides apart", "{sides_apart:.2f}"),
+    ("pairs", "{pairs}"),
+    ("both found, %", "{both_found:.0p}"),
+)
+
+
+def _page(result: dict[str, Any]) -> str:
+    fitted = [{"name": name, **result[name]} for name in ("floor_px", "size_noise", "score_noise")]
+    return report.page(
+        "# Detection noise",
+        f"{result['drones']} labelled drones in {len(result['clips'])} clips, frame to frame, per axis.",
+        f"By the box's side, of score {SURE:g} and more:",
+        report.table_of(SIDE_COLUMNS, result["sides"]),
+        "By score, all sizes, beside the error of the frames around:",
+        report.table_of(SCORE_COLUMNS, result["scores"]),
+        "σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²), 95 % over drones:",
+        report.table_of(FIT_COLUMNS, fitted),
+        "Of two labelled drones, by their distance, both found:",
+        report.table_of(APART_COLUMNS, result["apart"]),
     )
+
+
+BENCH = Benchmark("detection-noise", _measured, _page, options=(CLIPS,))
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -23,10 +23,10 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from swarmtrack.arguments import add_flag, add_folder, add_list, count
+from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_second_stage
-from swarmtrack.benchmarks.report import BenchmarkError, number
+from swarmtrack.benchmarks.harness import SECOND_STAGE, Benchmark, flag, listed, option, path
+from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.lab.scenarios.files import load_scenario
@@ -62,31 +62,9 @@ class Sets(NamedTuple):
     clips: dict[str, list[ScoredImage]]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    parser.add_argument(
-        "model", metavar="MODEL", help='an .onnx file, or "default" for the one that is shipped'
-    )
-    add_folder(
-        parser, "data", "a folder of labelled images (CSV, COCO or YOLO), of clips, or both", metavar="DATA"
-    )
-    parser.add_argument("--input-scale", type=float, default=1.0, metavar="S", help="input px per image px")
-    add_list(parser, "--scene", "of the images only this one", "NAME")
-    parser.add_argument("--every", type=count, default=1, metavar="N", help="of the clips each N-th frame")
-    add_second_stage(parser)
-    add_flag(parser, "--motion", "of clips count what moved; their camera must stand")
-    add_list(parser, "--scenario", "also a flight of the simulation, rendered", "NAME")
-    add_folder(parser, "--frames-of", "clips of which each N-th frame counts as an image, if held out")
-    add_flag(
-        parser,
-        "--held-out-negatives",
-        "beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
-    )
-
-
-def run(args: argparse.Namespace) -> None:
-    """Write detector.json, detector.md and detector.png into `args.out`."""
-    plt = report.pyplot()
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """detector.png into `args.out`, too."""
+    report.pyplot()  # before the work, not after it, should it be missing
     detector = Detector(
         args.model,
         score_threshold=LOWEST,
@@ -108,7 +86,7 @@ def run(args: argparse.Namespace) -> None:
     main = images if any(len(look.drones) for look in images) else clips
     matches = match(main, by_centre)
     sure = matches.threshold_of(SURE_RECALL)
-    result = {
+    result: dict[str, Any] = {
         "model": args.model,
         "source": detector.description.source,
         "head": detector.description.head,
@@ -126,8 +104,8 @@ def run(args: argparse.Namespace) -> None:
         "ms_per_frame": _times(args.model, args.second_stage, QUICK_REPEATS if args.quick else REPEATS),
         "file_mb": _size_mb(detector),
     }
-    report.write(args.out, NAME, result, _markdown(result))
-    _plot(plt, args.out / f"{NAME}.png", matches, result)
+    _plot(args.out / f"{NAME}.png", matches, result)
+    return result
 
 
 def _size_mb(detector: Detector) -> float:
@@ -312,88 +290,76 @@ def _times(model: str, second_stage: str, repeats: int) -> dict[str, dict[str, f
 
 # --- telling ------------------------------------------------------------------------------------------
 
-COLUMNS = (
-    ("images", "images", 0),
-    ("drones", "drones", 0),
-    ("centre-AP", "centre_ap", 3),
-    ("AP@0.5", "ap50", 3),
-    ("recall at 1 false / image", "recall_1fppi", 3),
-    ("at 0.1", "recall_01fppi", 3),
-    ("recall at the threshold", "recall", 3),
-    ("false / image", "false_per_image", 2),
-    ("centre error px, median", "centre_error_median_px", 2),
-    ("p90", "centre_error_p90_px", 2),
+SET_COLUMNS: report.Columns = (
+    ("", "{name}"),
+    ("images", "{images:.0f}"),
+    ("drones", "{drones:.0f}"),
+    ("centre-AP", "{centre_ap:.3f}"),
+    ("AP@0.5", "{ap50:.3f}"),
+    ("recall at 1 false / image", "{recall_1fppi:.3f}"),
+    ("at 0.1", "{recall_01fppi:.3f}"),
+    ("recall at the threshold", "{recall:.3f}"),
+    ("false / image", "{false_per_image:.2f}"),
+    ("centre error px, median", "{centre_error_median_px:.2f}"),
+    ("p90", "{centre_error_p90_px:.2f}"),
 )
+SIZE_COLUMNS = (("px", "{low:g} … {high:g}"), ("drones", "{drones}"), ("recall", "{recall:.3f}"))
+TIME_COLUMNS = (("input", "{size}"), ("least", "{least:.2f}"), ("median", "{p50:.2f}"), ("p95", "{p95:.2f}"))
+# What is known of a set without drones.
+OF_NO_DRONES = ("images", "drones", "false_per_image")
 
 
-def _row(name: str, entry: dict[str, Any]) -> list[str]:
-    cells = [name]
-    for _, key, digits in COLUMNS:
-        value = entry[key]
-        nothing = value is None or (
-            key not in ("images", "drones", "false_per_image") and not entry["drones"]
+def _page(result: dict[str, Any]) -> str:
+    def sets(by: dict[str, dict[str, Any]]) -> str:
+        rows = [
+            {
+                name: None if name not in OF_NO_DRONES and not entry["drones"] else value
+                for name, value in entry.items()
+            }
+            for entry in by.values()
+        ]
+        return report.table_of(
+            SET_COLUMNS, [{**row, "name": name} for name, row in zip(by, rows, strict=True)]
         )
-        cells.append("–" if nothing else number(float(value), digits))
-    return cells
 
-
-def _markdown(result: dict[str, Any]) -> str:
-    header = ["", *(title for title, _, _ in COLUMNS)]
+    sure = result["threshold_of_090_recall"]
+    distractor_columns: report.Columns = (
+        ("", "{kind}"),
+        ("there are", "{count}"),
+        (f"fired at {result['threshold']:g}", lambda row: _percent(row["threshold"])),
+        (f"at {sure:g}, where recall is 0.9", lambda row: _percent(row["at_090_recall"])),
+    )
+    sections = {
+        "Images": sets(result["by_scene"]) if result["by_scene"] else "",
+        "Clips": sets(result["by_clip"]) if result["by_clip"] else "",
+        "By size of the label's longer side, px": report.table_of(SIZE_COLUMNS, result["by_size"])
+        if result["by_size"]
+        else "",
+        "What else it takes for a drone (anything: images without a drone)": report.table_of(
+            distractor_columns, result["by_distractor"]
+        )
+        if result["by_distractor"]
+        else "",
+        "Milliseconds a frame, one thread": report.table_of(
+            TIME_COLUMNS, [{"size": size, **entry} for size, entry in result["ms_per_frame"].items()]
+        ),
+    }
     moved = "; clips with what moved" if result["motion"] else ""
-    lines = [
+    return report.page(
         f"# Detector {result['model']} on {result['data']}",
-        "",
         f"Head {result['head']}, understood by {result['source']}; {result['file_mb']} MB; whole frames, input scale"
         f" {result['input_scale']:g}{moved}; threshold {result['threshold']:g}. A hit: the centre within max(6 px, half"
         " the longer side of the label). False / image: at that threshold.",
-    ]
-    for title, key in (("Images", "by_scene"), ("Clips", "by_clip")):
-        if result[key]:
-            rows = [_row(name, entry) for name, entry in result[key].items()]
-            lines += ["", f"## {title}", "", report.table(header, rows)]
-    if result["by_size"]:
-        rows = [
-            [f"{entry['low']:g} … {entry['high']:g}", str(entry["drones"]), number(entry["recall"], 3)]
-            for entry in result["by_size"]
-        ]
-        lines += [
-            "",
-            "## By size of the label's longer side, px",
-            "",
-            report.table(["px", "drones", "recall"], rows),
-        ]
-    if result["by_distractor"]:
-        rows = [
-            [
-                entry["kind"],
-                str(entry["count"]),
-                *(_percent(entry[key]) for key in ("threshold", "at_090_recall")),
-            ]
-            for entry in result["by_distractor"]
-        ]
-        sure = result["threshold_of_090_recall"]
-        heads = ["", "there are", f"fired at {result['threshold']:g}", f"at {sure:g}, where recall is 0.9"]
-        lines += ["", "## What else it takes for a drone (anything: images without a drone)", ""]
-        lines.append(report.table(heads, rows))
-    rows = [
-        [size, *(number(entry[key]) for key in ("least", "p50", "p95"))]
-        for size, entry in result["ms_per_frame"].items()
-    ]
-    lines += [
-        "",
-        "## Milliseconds a frame, one thread",
-        "",
-        report.table(["input", "least", "median", "p95"], rows),
-    ]
-    return "\n".join(lines)
+        *(f"## {title}\n\n{table}" for title, table in sections.items() if table),
+    )
 
 
 def _percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.0f} %"
 
 
-def _plot(plt: Any, path: Path, matches: Matches, result: dict[str, Any]) -> None:
-    figure, (left, right, third) = plt.subplots(1, 3, figsize=(13, 4), layout="constrained")
+def _plot(path: Path, matches: Matches, result: dict[str, Any]) -> None:
+    figure, (left, right, third) = report.pyplot().subplots(1, 3, figsize=(13, 4), layout="constrained")
     hits, false = np.cumsum(matches.hit), np.cumsum(~matches.hit)
     recall = hits / max(matches.drones, 1)
     left.plot(*_thinned(recall, hits / np.maximum(hits + false, 1)))
@@ -411,8 +377,7 @@ def _plot(plt: Any, path: Path, matches: Matches, result: dict[str, Any]) -> Non
         third.annotate(str(entry["drones"]), (i, 0.01), ha="center", color="white")
     third.set(xlabel="longer side of the label, px (drones in white)", ylabel="recall", ylim=(0, 1.01))
     third.set_title(f"recall by size, at {result['threshold']:g}")
-    figure.savefig(path, dpi=120)
-    plt.close(figure)
+    report.save(figure, path, dpi=120)
 
 
 def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
@@ -421,3 +386,26 @@ def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
     # The best detections matter most.
     rows = np.unique(np.geomspace(1, len(x), CURVE).round().astype(int)) - 1
     return x[rows], y[rows]
+
+
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    _page,
+    options=(
+        option("model", 'an .onnx file, or "default" for the one that is shipped', metavar="MODEL"),
+        path("data", "a folder of labelled images (CSV, COCO or YOLO), of clips, or both", "DATA"),
+        option("--input-scale", "input px per image px", type=float, default=1.0, metavar="S"),
+        listed("--scene", "of the images only this one", "NAME"),
+        option("--every", "of the clips each N-th frame", type=count, default=1, metavar="N"),
+        SECOND_STAGE,
+        flag("--motion", "of clips count what moved; their camera must stand"),
+        listed("--scenario", "also a flight of the simulation, rendered", "NAME"),
+        path("--frames-of", "clips of which each N-th frame counts as an image, if held out"),
+        flag(
+            "--held-out-negatives",
+            "beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
+        ),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

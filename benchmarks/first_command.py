@@ -29,15 +29,13 @@ from typing import Any
 
 import numpy as np
 
-from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_scenarios
+from swarmtrack.benchmarks.harness import Benchmark, amount, option, scenarios
 from swarmtrack.benchmarks.processes import cpu_seconds
-from swarmtrack.benchmarks.report import BenchmarkError, number
+from swarmtrack.benchmarks.report import BenchmarkError
 
 NAME = "first-command"
 SCENARIOS = ("hover-triangle", "formation-3", "crossing")
-RUNS, QUICK_RUNS = 10, 1
 LOOK_S = 0.2  # s between two looks at what the processes have used
 IN_FLIGHT = re.compile(r"^ *\d+ s  ")
 # What the command line of each kind of process holds, the first that fits.
@@ -107,45 +105,14 @@ class Run:
         return self.code == 0
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_scenarios(parser, SCENARIOS)
-    parser.add_argument(
-        "--runs",
-        type=count,
-        metavar="N",
-        help=f"of each scenario (default: {RUNS}; with --quick {QUICK_RUNS})",
-    )
-    parser.add_argument(
-        "--busy",
-        type=int,
-        default=0,
-        metavar="N",
-        help="other processes that keep a core busy each (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--words", nargs="+", default=[], metavar="WORD", help="more arguments of the command"
-    )
-
-
-def run(args: argparse.Namespace) -> None:
-    runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
-    publish(args.out, args.scenarios, runs, busy=args.busy, words=args.words)
-
-
-def publish(
-    out: Path, scenarios: Sequence[str], runs: int, *, busy: int = 0, words: Sequence[str] = ()
-) -> dict[str, Any]:
-    """Run everything, write first-command.json and .md into `out`, and return what is in the JSON."""
-    found = asyncio.run(_run_all(scenarios, runs, busy, words))
-    result = {
-        "busy": busy,
-        "words": list(words),
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    found = asyncio.run(_run_all(args.scenarios, args.runs, args.busy, args.words))
+    return {
+        "busy": args.busy,
+        "words": list(args.words),
         "scenarios": {name: _summary(many) for name, many in found.items()},
         "runs": {name: [_record(one) for one in many] for name, many in found.items()},
     }
-    report.write(out, NAME, result, _markdown(result))
-    return result
 
 
 async def _run_all(
@@ -267,6 +234,7 @@ def _summary(many: Sequence[Run]) -> dict[str, Any]:
     ]
     kinds = sorted({kind for one in many for kind in one.cores})
     cores = [sum(one.cores.values()) for one in many]
+    took = [one.took_s for one in many]
     return {
         "runs": len(many),
         "passed": sum(one.passed for one in many),
@@ -274,10 +242,7 @@ def _summary(many: Sequence[Run]) -> dict[str, Any]:
         "cores": {"mean": float(np.mean(cores)), "max": max(cores)},
         "whole_cores": float(np.mean([one.whole_cores for one in many])),
         "cores_by_kind": {kind: float(np.mean([one.cores.get(kind, 0.0) for one in many])) for kind in kinds},
-        "took_s": {
-            "mean": float(np.mean([one.took_s for one in many])),
-            "max": max(one.took_s for one in many),
-        },
+        "took_s": {"mean": float(np.mean(took)), "max": max(took)},
         "silent_s": max(one.silent_s for one in many),
         "rmse_px": {"p50": float(np.median(rmse)), "max": max(rmse)},
         "range_error": max(one.figures["relative"]["range_error"]["p95"] or np.nan for one in many),
@@ -288,52 +253,52 @@ def _summary(many: Sequence[Run]) -> dict[str, Any]:
 
 
 def _record(one: Run) -> dict[str, Any]:
+    """What the summary is of."""
     return {
-        "code": one.code,
-        "words": one.words,
-        "took_s": one.took_s,
-        "cores": dict(one.cores),
-        "whole_cores": one.whole_cores,
-        "figures": dict(one.figures),
+        name: getattr(one, name) for name in ("code", "words", "took_s", "cores", "whole_cores", "figures")
     }
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    header = [
-        "scenario", "passed", "cores in flight, mean, max", "from start to end", "took s, mean, max",
-        "longest silence s", "worst RMSE px, p50, max", "least right names", "wrong", "error of ranges, 95 %",
-    ]  # fmt: skip
-    rows = [
-        [
-            name,
-            f"{found['passed']} of {found['runs']}",
-            f"{found['cores']['mean']:.2f}, {found['cores']['max']:.2f}",
-            number(found["whole_cores"]),
-            f"{found['took_s']['mean']:.1f}, {found['took_s']['max']:.1f}",
-            number(found["silent_s"], 1),
-            f"{number(found['rmse_px']['p50'])}, {number(found['rmse_px']['max'])}",
-            number(found["correct"], 4),
-            number(found["wrong"], 4),
-            f"{found['range_error']:.1%}",
-        ]
-        for name, found in result["scenarios"].items()
-    ]
-    kinds = sorted({kind for found in result["scenarios"].values() for kind in found["cores_by_kind"]})
-    spent = [
-        [name, *(number(found["cores_by_kind"].get(kind, 0.0)) for kind in kinds)]
-        for name, found in result["scenarios"].items()
-    ]
-    said = [
-        f"{name}: {'; '.join(f'{words}: {many}' for words, many in found['verdicts'].items())}."
-        for name, found in result["scenarios"].items()
-    ]
+COLUMNS: report.Columns = (
+    ("scenario", "{name}"),
+    ("passed", "{passed} of {runs}"),
+    ("cores in flight, mean, max", "{cores[mean]:.2f}, {cores[max]:.2f}"),
+    ("from start to end", "{whole_cores:.2f}"),
+    ("took s, mean, max", "{took_s[mean]:.1f}, {took_s[max]:.1f}"),
+    ("longest silence s", "{silent_s:.1f}"),
+    ("worst RMSE px, p50, max", "{rmse_px[p50]:.2f}, {rmse_px[max]:.2f}"),
+    ("least right names", "{correct:.4f}"),
+    ("wrong", "{wrong:.4f}"),
+    ("error of ranges, 95 %", "{range_error:.1%}"),
+)
+
+
+def _page(result: dict[str, Any]) -> str:
+    rows = [{"name": name, **found} for name, found in result["scenarios"].items()]
+    kinds = sorted({kind for row in rows for kind in row["cores_by_kind"]})
+    spent = [[row["name"], *(f"{row['cores_by_kind'].get(kind, 0.0):.2f}" for kind in kinds)] for row in rows]
     busy = f" Beside {result['busy']} other processes that keep a core busy each." if result["busy"] else ""
-    return "\n\n".join(
-        [
-            f"# The first command\n\nCores: CPU seconds of all processes per second.{busy}",
-            report.table(header, rows),
-            "Cores in flight, by process:",
-            report.table(["scenario", *kinds], spent),
-            *said,
-        ]
+    return report.page(
+        f"# The first command\n\nCores: CPU seconds of all processes per second.{busy}",
+        report.table_of(COLUMNS, rows),
+        "Cores in flight, by process:",
+        report.table(["scenario", *kinds], spent),
+        *(
+            f"{row['name']}: {'; '.join(f'{words}: {many}' for words, many in row['verdicts'].items())}."
+            for row in rows
+        ),
     )
+
+
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    _page,
+    options=(
+        scenarios(SCENARIOS),
+        amount("--runs", 10, 1, "of each scenario"),
+        option("--busy", "other processes that keep a core busy each", type=int, default=0, metavar="N"),
+        option("--words", "more arguments of the command", nargs="+", default=[], metavar="WORD"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

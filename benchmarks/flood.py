@@ -24,7 +24,6 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import asdict, dataclass
 from functools import cache
 from itertools import count
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -33,7 +32,7 @@ from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.harness import Benchmark
 from swarmtrack.benchmarks.processes import module_process, rss_mb
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement, PeerArrived, Sighting, SightingReport
@@ -335,48 +334,35 @@ def _no_signature(signed: bytes) -> bytes:
 # --- the table -----------------------------------------------------------------------------------
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, seconds=QUICK_SECONDS if args.quick else SECONDS)
-
-
-def publish(out: Path, *, seconds: float) -> None:
-    """flood.json and flood.md in the folder `out`."""
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    seconds = QUICK_SECONDS if args.quick else SECONDS
+    floods = []
     with report.progress(NAME, total=len(Sort)) as advance:
-        outcomes = []
         for sort in Sort:
             advance(str(sort))
-            outcomes.append(asyncio.run(measure(sort, seconds)))
-    report.write(
-        out,
-        NAME,
-        {"seconds": seconds, "rate_hz": RATE_HZ, "floods": [asdict(outcome) for outcome in outcomes]},
-        markdown(outcomes),
-    )
+            floods.append(asdict(asyncio.run(measure(sort, seconds))))
+    return {"seconds": seconds, "rate_hz": RATE_HZ, "floods": floods}
 
 
-def markdown(outcomes: list[Outcome]) -> str:
-    header = (
-        *("flood", "sent /s", "lag p50 / p95 / p99 / max ms", "RSS before → after MB", "CPU %"),
-        *("friend's announcements", "after (p95) ms", "events /s"),
-    )
-    rows = (
-        (
-            o.flood,
-            report.number(o.sent_hz, 0),
-            " / ".join(report.number(x, 1) for x in (o.lag_p50_ms, o.lag_p95_ms, o.lag_p99_ms, o.lag_max_ms)),
-            f"{o.rss_before_mb:.0f} → {o.rss_after_mb:.0f}",
-            report.number(o.cpu_percent, 0),
-            f"{o.friend_heard} of {o.friend_announced}",
-            report.number(o.friend_delay_p95_ms, 1),
-            report.number(o.events_hz, 0),
-        )
-        for o in outcomes
-    )
-    return f"# A member that floods\n\n{report.table(header, rows)}\n"
+COLUMNS: report.Columns = (
+    ("flood", "{flood}"),
+    ("sent /s", "{sent_hz:.0f}"),
+    (
+        "lag p50 / p95 / p99 / max ms",
+        "{lag_p50_ms:.1f} / {lag_p95_ms:.1f} / {lag_p99_ms:.1f} / {lag_max_ms:.1f}",
+    ),
+    ("RSS before → after MB", "{rss_before_mb:.0f} → {rss_after_mb:.0f}"),
+    ("CPU %", "{cpu_percent:.0f}"),
+    ("friend's announcements", "{friend_heard} of {friend_announced}"),
+    ("after (p95) ms", "{friend_delay_p95_ms:.1f}"),
+    ("events /s", "{events_hz:.0f}"),
+)
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    lambda result: report.page("# A member that floods", report.table_of(COLUMNS, result["floods"])),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run
 
 
 def main() -> None:

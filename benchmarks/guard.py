@@ -27,11 +27,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.arguments import count
 from swarmtrack.autopilot.links import Wire
 from swarmtrack.autopilot.mavlink_autopilot import WayToAutopilot
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.harness import Benchmark, amount, some_of
 from swarmtrack.benchmarks.lone_agent import free_udp_port
 from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.formation.parameters import FlightLimits
@@ -50,7 +49,6 @@ from swarmtrack.lab.world.world import World
 from swarmtrack.runtime.guard_process import GuardProcess, guard_limits
 
 NAME = "guard"
-RUNS, QUICK_RUNS = 20, 1
 TOLD, QUICK_TOLD = 1_000_000, 10_000
 SPEED_M_S = 2.5
 ORIGIN = Geodetic.from_degrees(47.4, 8.5, 400.0)
@@ -358,83 +356,89 @@ def cost(seconds: float, *, signed: bool = False) -> Cost:
     return Cost(share, mb, float(np.percentile(late, 95)), float(late.max()))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    parser.add_argument(
-        "--runs",
-        type=count,
-        metavar="N",
-        help=f"flights of each case (default: {RUNS}; with --quick {QUICK_RUNS})",
-    )
-    parser.add_argument(
-        "--cases",
-        nargs="+",
-        choices=list(CASES),
-        default=list(CASES),
-        metavar="NAME",
-        help=f"{', '.join(CASES)}",
-    )
+@dataclass(frozen=True, slots=True)
+class Found:
+    """Flights by case, what came of decisions of anything at all, and what a guard costs."""
+
+    flown: dict[str, list[Flight]]
+    told: Told
+    costs: dict[str, Cost]
 
 
-def run(args: argparse.Namespace) -> None:
-    runs = args.runs or (QUICK_RUNS if args.quick else RUNS)
-    seconds = QUICK_COST_S if args.quick else COST_S
-    flown: dict[str, list[Flight]] = {}
-    with report.progress("guard", runs * len(args.cases)) as advance:
-        for case in args.cases:
-            flown[case] = []
-            for seed in range(1, runs + 1):
-                flown[case].append(asyncio.run(fly(case, seed)))
+def _measured(args: argparse.Namespace) -> Found:
+    flown: dict[str, list[Flight]] = {case: [] for case in args.cases}
+    with report.progress(NAME, args.runs * len(args.cases)) as advance:
+        for case, flights in flown.items():
+            for seed in range(1, args.runs + 1):
+                flights.append(asyncio.run(fly(case, seed)))
                 advance(case)
+    seconds = QUICK_COST_S if args.quick else COST_S
     costs = {"unsigned": cost(seconds), "signed": cost(seconds, signed=True)}
-    told = told_anything(QUICK_TOLD if args.quick else TOLD)
-    result = {
+    return Found(flown, told_anything(QUICK_TOLD if args.quick else TOLD), costs)
+
+
+def _record(found: Found) -> dict[str, Any]:
+    return {
         "speed_m_s": SPEED_M_S,
-        "cases": {case: [flight._asdict() for flight in flights] for case, flights in flown.items()},
-        "told_anything": told._asdict(),
-        "cost": {name: one._asdict() for name, one in costs.items()},
+        "cases": {case: [flight._asdict() for flight in flights] for case, flights in found.flown.items()},
+        "told_anything": found.told._asdict(),
+        "cost": {name: one._asdict() for name, one in found.costs.items()},
     }
-    report.write(args.out, NAME, result, markdown(flown, told, costs))
 
 
-def markdown(flown: dict[str, list[Flight]], told: Told, costs: dict[str, Cost]) -> str:
-    header = [
-        "what happens",
-        "flights",
-        "in order",
-        "zero heard after, at most s",
-        "last set point after, at most s",
-    ]
+COLUMNS: report.Columns = (
+    ("what happens", "{case}"),
+    ("flights", "{flights}"),
+    ("in order", "{ok}"),
+    ("zero heard after, at most s", "{zero_s:.2f}"),
+    ("last set point after, at most s", "{last_s:.2f}"),
+    ("flown on, at most m", "{flown_m:.2f}"),
+)
+COST_COLUMNS: report.Columns = (
+    ("guard", "{name}"),
+    ("% of a core", "{share:.2p}"),
+    ("MB", "{mb:.2f}"),
+    ("decision to set point, p95 ms", "{p95_ms:.2f}"),
+    ("worst ms", "{worst_ms:.2f}"),
+)
+
+
+def page(found: Found) -> str:
     rows = [
-        [
-            CASES[case][0],
-            str(len(flights)),
-            str(sum(flight.ok for flight in flights)),
-            report.number(_most(flight.zero_s for flight in flights)),
-            report.number(_most(flight.last_s for flight in flights)),
-            report.number(_most(flight.flown_m for flight in flights)),
-        ]
-        for case, flights in flown.items()
+        {
+            "case": CASES[case][0],
+            "flights": len(flights),
+            "ok": sum(flight.ok for flight in flights),
+            **{
+                name: _most(getattr(flight, name) for flight in flights)
+                for name in ("zero_s", "last_s", "flown_m")
+            },
+        }
+        for case, flights in found.flown.items()
     ]
-    about = (
+    return report.page(
         f"An agent flies its drone north at {SPEED_M_S:g} m/s; then this happens. In order: a set point of zero "
         f"velocity is heard within {ZERO_WITHIN_S:g} s, or none at all; none that is not zero after that; and "
-        f'nothing after {SILENT_AFTER_S:g} s. "–": no zero was heard.'
+        f'nothing after {SILENT_AFTER_S:g} s. "–": no zero was heard.',
+        report.table_of(COLUMNS, rows),
+        report.filled(
+            "Of {decisions} decisions of anything at all came {sent} set points: {beyond} were no numbers, or beyond a "
+            "limit.",
+            found.told,
+        ),
+        report.table_of(COST_COLUMNS, [{"name": name, **one._asdict()} for name, one in found.costs.items()]),
     )
-    cost_rows = [
-        [name, *map(report.number, (100.0 * one.share, one.mb, one.p95_ms, one.worst_ms))]
-        for name, one in costs.items()
-    ]
-    cost_table = report.table(
-        ["guard", "% of a core", "MB", "decision to set point, p95 ms", "worst ms"], cost_rows
-    )
-    anything = (
-        f"Of {told.decisions} decisions of anything at all came {told.sent} set points: {told.beyond} were no numbers, "
-        "or beyond a limit."
-    )
-    flights = report.table([*header, "flown on, at most m"], rows)
-    return f"{about}\n\n{flights}\n\n{anything}\n\n{cost_table}"
 
 
 def _most(values: Iterable[float]) -> float:
     return max((value for value in values if math.isfinite(value)), default=math.nan)
+
+
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    page,
+    options=(amount("--runs", 20, 1, "flights of each case"), some_of("--cases", CASES)),
+    record=_record,
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -20,12 +20,12 @@ from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.harness import Benchmark
 from swarmtrack.benchmarks.processes import module_process, rss_mb
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement
@@ -309,46 +309,39 @@ def tcp_bytes() -> int:
 # --- the table -----------------------------------------------------------------------------------
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, QUICK if args.quick else TEAMS)
-
-
-def publish(out: Path, teams: Sequence[Team]) -> None:
-    """clients.json and clients.md in the folder `out`."""
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    teams = QUICK if args.quick else TEAMS
     outcomes = []
     with report.progress(NAME, total=len(teams)) as advance:
         for team in teams:
             advance(team.name)
-            outcomes.append(asyncio.run(measure(team)))
-    report.write(out, NAME, {"teams": [asdict(outcome) for outcome in outcomes]}, markdown(outcomes))
+            outcomes.append(asdict(asyncio.run(measure(team))))
+    return {"teams": outcomes}
 
 
-def markdown(outcomes: Sequence[Outcome]) -> str:
-    header = (
-        *("sessions", "complete", "everybody known: median / last s", "announcement bytes", "times sent"),
-        *("bytes until known", "bytes/s idle", "RSS MB", "routers' RSS MB", "CPU s, all", "idle CPU %, all"),
+COLUMNS: report.Columns = (
+    ("sessions", "{team}"),
+    ("complete", "{complete} of {sessions}"),
+    ("everybody known: median / last s", "{known_median_s:.2f} / {known_last_s:.2f}"),
+    ("announcement bytes", "{announcement_bytes:.0f}"),
+    ("times sent", "{announcements_sent_per_session:.1f}"),
+    ("bytes until known", "{bytes_until_known_per_session:.0f}"),
+    ("bytes/s idle", "{idle_bytes_s_per_session:.0f}"),
+    ("RSS MB", "{rss_mb_per_session:.1f}"),
+    ("routers' RSS MB", lambda row: ", ".join(f"{rss:.0f}" for rss in row["router_rss_mb"]) or "–"),
+    ("CPU s, all", "{cpu_s_total:.1f}"),
+    ("idle CPU %, all", "{idle_cpu_percent_total:.1f}"),
+)
+
+
+def _page(result: dict[str, Any]) -> str:
+    return report.page(
+        "# Everybody knows everybody", "Per session unless said.", report.table_of(COLUMNS, result["teams"])
     )
-    rows = (
-        (
-            o.team,
-            f"{o.complete} of {o.sessions}",
-            f"{report.number(o.known_median_s)} / {report.number(o.known_last_s)}",
-            report.number(o.announcement_bytes, 0),
-            report.number(o.announcements_sent_per_session, 1),
-            report.number(o.bytes_until_known_per_session, 0),
-            report.number(o.idle_bytes_s_per_session, 0),
-            report.number(o.rss_mb_per_session, 1),
-            ", ".join(report.number(rss, 0) for rss in o.router_rss_mb) or "–",
-            report.number(o.cpu_s_total, 1),
-            report.number(o.idle_cpu_percent_total, 1),
-        )
-        for o in outcomes
-    )
-    return f"# Everybody knows everybody\n\nPer session unless said.\n\n{report.table(header, rows)}\n"
+
+
+BENCH = Benchmark(NAME, _measured, _page)
+add_arguments, run = BENCH.add_arguments, BENCH.run
 
 
 def main() -> None:

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.benchmarks.real_clips import agent_environment
+from swarmtrack.benchmarks.processes import agent_environment
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera

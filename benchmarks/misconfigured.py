@@ -18,27 +18,31 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swarmtrack.arguments import positive
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
+from swarmtrack.benchmarks import harness
+from swarmtrack.benchmarks.harness import (
+    PROCESSES,
+    TRACKER,
+    Flights,
+    option,
+    quantile,
+    seeds,
+    shares,
+    some_of,
+)
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import AnnouncedStart, Scenario
-from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.lab.score.swarm_score import Glance, SwarmScore, SwarmScorer
 
-NAME = "misconfigured"
-SEEDS, QUICK_SEEDS = 100, 2
 DRONES = 4
 SECONDS = {"crossing": 20.0, "hover-triangle": 20.0, "errand": 30.0}
 # m: what the shipped configs state.
@@ -150,136 +154,82 @@ def fly(
     return Flight(score, watch.later.score(), after, len(watch.said.keys() - set(row.of)))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--scenarios", nargs="+", choices=list(SECONDS), default=list(SECONDS), help="(default: all)"
-    )
-    parser.add_argument(
-        "--rows", nargs="+", metavar="WORD", default=[], help="only rows whose name has one of these in it"
-    )
-    parser.add_argument(
-        "--sigma", type=positive, metavar="M", default=SIGMA, help="of every start, m (default: %(default)s)"
-    )
-    parser.add_argument(
-        "--share", type=positive, metavar="HZ", help="every drone says so often how it moves (default: never)"
-    )
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(
-        args.out,
-        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        scenarios=args.scenarios,
-        chosen=[row for row in rows() if not args.rows or any(word in row.name for word in args.rows)],
-        sigma_m=args.sigma,
-        tracker=args.tracker,
-        share_hz=args.share,
-        processes=args.processes,
-    )
-
-
-def publish(
-    out: Path,
-    *,
-    seeds: int,
-    scenarios: Sequence[str],
-    chosen: Sequence[Row],
-    sigma_m: float,
-    tracker: str,
-    share_hz: float | None = None,
-    processes: int | None = None,
-) -> dict[str, Any]:
-    """Fly everything, write misconfigured.json and misconfigured.md into `out` after each row."""
-    found: dict[str, dict[str, Any]] = {}
-    result = {
-        "seeds": seeds,
-        "sigma_m": sigma_m,
-        "tracker": tracker,
-        "share_hz": share_hz,
-        "scenarios": found,
-    }
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, len(scenarios) * len(chosen) * seeds) as advance,
-    ):
-        for scenario in scenarios:
-            found[scenario] = {}
-            for row in chosen:
-                flights = []
-                one = partial(fly, row, scenario, sigma_m, tracker, share_hz=share_hz)
-                for flight in pool.imap(one, range(1, seeds + 1)):
-                    flights.append(flight)
-                    advance(f"{scenario}: {row.name}")
-                found[scenario][row.name] = summary(flights)
-                report.write(out, NAME, result, _markdown(result))
-    return result
-
-
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:
     """The columns of one row of the table."""
-
-    def share(of: str, scores: Sequence[SwarmScore]) -> dict[str, float]:
-        samples = np.array([score.samples for score in scores], dtype=float)
-        hits = np.nan_to_num([getattr(score, of) for score in scores]) * samples
-        return fraction_interval(hits, samples)._asdict()
-
-    scores = [flight.score for flight in flights]
-    after = np.sort([after for flight in flights for after in flight.said_after.values()])
+    after = [after for flight in flights for after in flight.said_after.values()]
+    surest = [flight.score.wrong_max_probability for flight in flights]
     return {
-        **{of: share(of, scores) for of in ("correct", "wrong", "unknown")},
-        "later_correct": share("correct", [flight.later for flight in flights]),
-        "wrong_max_probability": float(
-            np.fmax.reduce([flight.score.wrong_max_probability for flight in flights])
-        ),
+        **shares([flight.score for flight in flights], "correct", "wrong", "unknown"),
+        "later_correct": shares([flight.later for flight in flights], "correct")["correct"],
+        "wrong_max_probability": float(np.fmax.reduce(surest)),
         "concerned": len(after),
-        "said": int(np.isfinite(after).sum()),
-        "said_after_s": {"p50": _quantile(after, 0.5), "most": _quantile(after, 1.0)},
+        "said": sum(math.isfinite(s) for s in after),
+        "said_after_s": {"p50": quantile(after, 0.5), "most": quantile(after, 1.0)},
         "falsely": sum(flight.falsely for flight in flights),
     }
 
 
-def _shared(share_hz: float | None) -> str:
-    return f"motion told {share_hz:g} times per second" if share_hz else "nobody tells how it moves"
-
-
-def _quantile(values: Iterable[float], of: float) -> float:
-    """The value that this share of them does not exceed; may be infinite."""
-    known = sorted(values)
-    return known[max(math.ceil(of * len(known)), 1) - 1] if known else math.nan
-
-
-def _markdown(result: dict[str, Any]) -> str:
-    def line(name: str, found: dict[str, Any]) -> list[str]:
-        wrong = [100.0 * found["wrong"][key] for key in ("value", "low", "high")]
-        return [
-            name,
-            f"{100.0 * found['correct']['value']:.1f}",
-            f"{100.0 * found['later_correct']['value']:.1f}",
-            "{:.2f} ({:.2f} … {:.2f})".format(*wrong),
-            f"{100.0 * found['unknown']['value']:.1f}",
-            report.number(found["wrong_max_probability"], 4),
-            f"{found['said']} of {found['concerned']}",
-            f"{report.number(found['said_after_s']['p50'], 1)}, {report.number(found['said_after_s']['most'], 1)}",
-            str(found["falsely"]),
-        ]
-
-    header = [
-        "what is wrong", "right, %", "later, %", "wrong, %", "unknown, %", "surest wrong name", "said", "after, s",
-        "falsely",
-    ]  # fmt: skip
-    tables = [
-        f"## {scenario}\n\n{report.table(header, [line(*row) for row in of.items()])}"
-        for scenario, of in result["scenarios"].items()
+def _rows(args: argparse.Namespace) -> list[harness.Row]:
+    chosen = [row for row in rows() if not args.rows or any(word in row.name for word in args.rows)]
+    return [
+        harness.Row(
+            f"{scenario}: {row.name}",
+            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share),
+            summary,
+            {"name": row.name},
+            place=("scenarios", scenario, row.name),
+            group=scenario,
+        )
+        for scenario in args.scenarios
+        for row in chosen
     ]
-    return "\n\n".join(
-        [
-            "# Names when the configuration is wrong",
-            f"{DRONES} drones, {result['seeds']} seeds per row, synthetic detections, tracker `{result['tracker']}`; "
-            f"starts stated as ±{result['sigma_m']:g} m; {_shared(result['share_hz'])}.",
-            *tables,
-        ]
+
+
+def _about(result: dict[str, Any]) -> str:
+    hz = result["share_hz"]
+    return (
+        f"{DRONES} drones, {result['seeds']} seeds per row, synthetic detections, tracker `{result['tracker']}`; "
+        f"starts stated as ±{result['sigma_m']:g} m; "
+        f"{f'motion told {hz:g} times per second' if hz else 'nobody tells how it moves'}."
     )
+
+
+BENCH = Flights(
+    name="misconfigured",
+    title="Names when the configuration is wrong",
+    about=_about,
+    seeds=seeds(100, quick=2),
+    options=(
+        TRACKER,
+        some_of("--scenarios", SECONDS),
+        option(
+            "--rows", "only rows whose name has one of these in it", nargs="+", metavar="WORD", default=[]
+        ),
+        option(
+            "--sigma", "of every start, m (default: %(default)s)", type=positive, metavar="M", default=SIGMA
+        ),
+        option(
+            "--share", "every drone says so often how it moves (default: never)", type=positive, metavar="HZ"
+        ),
+        PROCESSES,
+    ),
+    rows=_rows,
+    facts=lambda args: {
+        "seeds": args.seeds,
+        "sigma_m": args.sigma,
+        "tracker": args.tracker,
+        "share_hz": args.share,
+    },
+    columns=(
+        ("what is wrong", "{name}"),
+        ("right, %", "{correct[value]:.1p}"),
+        ("later, %", "{later_correct[value]:.1p}"),
+        ("wrong, %", "{wrong:.2p}"),
+        ("unknown, %", "{unknown[value]:.1p}"),
+        ("surest wrong name", "{wrong_max_probability:.4f}"),
+        ("said", "{said} of {concerned}"),
+        ("after, s", "{said_after_s[p50]:.1f}, {said_after_s[most]:.1f}"),
+        ("falsely", "{falsely}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -1,31 +1,27 @@
 """What the monitor costs those who are watched, and whether its page keeps up with thirty drones.
 
-    swarmtrack bench monitor
-
-Of the drones: the scripted agent of `bench agent` at 20 Hz of frames, its CPU unwatched and watched in turns, so that
-what else the machine does meets both alike. Of the page: thirty scripted drones over real Zenoh, a headless Chromium,
-and how many states and pictures it drew, and how often requestAnimationFrame came round.
+`swarmtrack bench cost --of monitor`. Of the drones: the scripted agent of `agent_budget.py` at 20 Hz of frames, its CPU
+unwatched and watched in turns, so that what else the machine does meets both alike. Of the page: thirty scripted drones
+over real Zenoh, a headless Chromium, and how many states and pictures it drew, and how often requestAnimationFrame came
+round.
 """
 
 from __future__ import annotations
 
 import argparse
 import asyncio
-import os
 import re
 import secrets
 import shutil
 import sys
 import time
 from contextlib import asynccontextmanager
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.arguments import require_extra
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.figures import Figure
 from swarmtrack.benchmarks.lone_agent import CAMERA, scripted_agent
 from swarmtrack.benchmarks.processes import cpu_seconds
 from swarmtrack.benchmarks.report import BenchmarkError
@@ -41,7 +37,6 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.video import VideoMessage
 
-NAME = "monitor"
 FPS = 20.0
 TURNS = 4  # of watched and unwatched
 DRONES = 30
@@ -159,41 +154,26 @@ async def measure_page(seconds: float) -> tuple[float, float, float, float]:
             await process.wait()
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> None:
+def measured(args: argparse.Namespace) -> list[Figure]:
+    """Of an agent that is watched, and of the page."""
     require_extra("dev", "playwright", of="the page in a browser")
-    publish(args.out, quick=args.quick)
-
-
-def publish(out: Path, *, quick: bool) -> None:
-    seconds = 2.0 if quick else 5.0
+    seconds = 2.0 if args.quick else 5.0
     noise = np.random.default_rng(0).integers(90, 160, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
     scenario = load_scenario("hover-triangle", seed=1)
     scene = Renderer(scenario.world, scenario.camera, scenario.body_from_camera).image(1, 1.0, 1)
     watched = asyncio.run(measure_agent(seconds))
     frames, states, pictures, share = asyncio.run(measure_page(2.0 * seconds))
-    (noise_ms, noise_kb), (scene_ms, scene_kb) = picture_ms(noise), picture_ms(scene)
-    lines = [
-        ("agent unwatched, CPU, median of turns", float(np.median(watched.unwatched)), "% of a core"),
-        ("agent watched, CPU, median of turns", float(np.median(watched.watched)), "% of a core"),
-        ("pictures of a watched agent", watched.pictures_hz, "Hz"),
-        ("their size (of noise, the worst there is)", watched.kilobytes, "kB"),
-        ("one picture of noise, CPU in its thread", noise_ms, "ms"),
-        ("one picture of a scene, CPU in its thread", scene_ms, "ms"),
-        ("its size", scene_kb, "kB"),
-        (f"page with {DRONES} drones: animation frames", frames, "Hz"),
-        (f"page with {DRONES} drones: states drawn, of 5 told", states, "Hz"),
-        ("pictures meanwhile, none of them in sight", pictures, "Hz"),
-        (f"monitor of {DRONES} drones, CPU", share, "% of a core"),
+    (noise_ms, _), (scene_ms, scene_kb) = picture_ms(noise), picture_ms(scene)
+    return [
+        Figure("agent unwatched, CPU, median of turns", float(np.median(watched.unwatched)), "% of a core"),
+        Figure("agent watched, CPU, median of turns", float(np.median(watched.watched)), "% of a core"),
+        Figure("pictures of a watched agent", watched.pictures_hz, "Hz"),
+        Figure("their size (of noise, the worst there is)", watched.kilobytes, "kB"),
+        Figure("one picture of noise, CPU in its thread", noise_ms, "ms"),
+        Figure("one picture of a scene, CPU in its thread", scene_ms, "ms"),
+        Figure("its size", scene_kb, "kB"),
+        Figure(f"page with {DRONES} drones: animation frames", frames, "Hz"),
+        Figure(f"page with {DRONES} drones: states drawn, of 5 told", states, "Hz"),
+        Figure("pictures meanwhile, none of them in sight", pictures, "Hz"),
+        Figure(f"monitor of {DRONES} drones, CPU", share, "% of a core"),
     ]
-    rows = [[what, f"{value:.3g} {unit}"] for what, value, unit in lines]
-    text = f"# Monitor\n\n{report.table(['what', 'found'], rows)}\n\nLoad while measured: {os.getloadavg()[0]:.1f}."
-    result = {
-        "lines": [{"what": what, "value": value, "unit": unit} for what, value, unit in lines],
-        "turns": watched._asdict(),
-        "noise_kb": noise_kb,
-    }
-    report.write(out, NAME, result, text)

@@ -19,14 +19,15 @@ import argparse
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.arguments import count
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds
+from swarmtrack.benchmarks import harness
+from swarmtrack.benchmarks.harness import Flights, option, quantile, seeds
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -38,8 +39,6 @@ from swarmtrack.messages import Array, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.tracking.marginals import matching_marginals
 
-NAME = "motion"
-SEEDS, QUICK_SEEDS = 60, 2
 TEAMS = (3, 5, 10)
 SECONDS, SCAN_S, SAY_S = 20.0, 1 / 7, 0.2
 STEP_S = SCAN_S / 4
@@ -242,117 +241,76 @@ def _called(found: MotionEvidence, n: int) -> dict[int, int]:
     }
 
 
-@dataclass(frozen=True, slots=True)
-class Result:
-    """Of one row and team, over all flights; times in s, None: not in every flight."""
-
-    row: str
-    drones: int
-    flights: int
-    named_s: float | None
-    named_p95_s: float | None
-    found_s: float | None
-    found_p95_s: float | None
-    said_s: float | None
-    said_p95_s: float | None
-    names: int
-    wrong: int
-    wrong_as_stranger: int
-    accused: int
-    scan_ms: float
-
-
-def summarise(row: Row, n: int, trials: Sequence[Trial]) -> Result:
+def summarise(row: Row, n: int, trials: Sequence[Trial]) -> dict[str, Any]:
+    """Of one row and team; times in s, None: not in every flight."""
     truth = {track: track for track in range(n)}
     if row.lie:
         truth |= {0: STRANGER} if row.lie == "spoof" else {0: 1, 1: 0}
     wrong = [name for t in trials for track, name in t.names.items() if name != truth[track]]
 
-    def quantile(times: list[float], share: float) -> float | None:
-        value = float(np.quantile(times, share, method="higher"))
-        return round(value, 2) if value < math.inf else None
+    def times(what: str, *, told: bool = True) -> dict[str, float | None]:
+        values = [getattr(t, what) for t in trials]
+        at = {f"{what}_s": quantile(values, 0.5), f"{what}_p95_s": quantile(values, 0.95)}
+        return {name: round(s, 2) if told and s < math.inf else None for name, s in at.items()}
 
-    named, found, said = ([getattr(t, what) for t in trials] for what in ("named", "found", "said"))
-    return Result(
-        row=row.name,
-        drones=n,
-        flights=len(trials),
-        named_s=quantile(named, 0.5),
-        named_p95_s=quantile(named, 0.95),
-        found_s=quantile(found, 0.5) if row.lie else None,
-        found_p95_s=quantile(found, 0.95) if row.lie else None,
-        said_s=quantile(said, 0.5) if row.lie else None,
-        said_p95_s=quantile(said, 0.95) if row.lie else None,
-        names=sum(len(t.names) for t in trials),
-        wrong=len(wrong),
-        wrong_as_stranger=wrong.count(STRANGER),
-        accused=sum(len(t.accused) for t in trials),
-        scan_ms=round(1e3 * float(np.mean([t.scan_s for t in trials])), 2),
-    )
+    return {
+        **times("named"),
+        **times("found", told=bool(row.lie)),
+        **times("said", told=bool(row.lie)),
+        "names": sum(len(t.names) for t in trials),
+        "wrong": len(wrong),
+        "wrong_as_stranger": wrong.count(STRANGER),
+        "accused": sum(len(t.accused) for t in trials),
+        "scan_ms": round(1e3 * float(np.mean([t.scan_s for t in trials])), 2),
+    }
 
 
-def page(results: Sequence[Result]) -> str:
-    header = (
-        "what they do",
-        "drones",
-        "flights",
-        "all named, s: median",
-        "p95",
-        "lie said, s: median",
-        "p95",
-        "lie found, s: median",
-        "p95",
-        "wrong names",
-        "of these as strangers",
-        "accused",
-        "CPU per scan, ms",
-    )
-
-    def text(value: float | None) -> str:
-        return "–" if value is None else f"{value:.1f}"
-
-    rows = [
-        (
-            r.row,
-            str(r.drones),
-            str(r.flights),
-            text(r.named_s),
-            text(r.named_p95_s),
-            text(r.said_s),
-            text(r.said_p95_s),
-            text(r.found_s),
-            text(r.found_p95_s),
-            f"{r.wrong} of {r.names}",
-            str(r.wrong_as_stranger),
-            str(r.accused),
-            f"{r.scan_ms:.2f}",
+def _rows(args: argparse.Namespace) -> list[harness.Row]:
+    return [
+        harness.Row(
+            row.name,
+            partial(trial, row, n),
+            partial(summarise, row, n),
+            {"row": row.name, "drones": n, "flights": args.seeds},
         )
-        for r in results
+        for row in ROWS
+        for n in args.teams
+        if not row.lie or n > 1
     ]
-    return f"# Who is who by motion alone\n\n{report.table(header, rows)}"
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--teams",
-        type=count,
-        nargs="+",
-        default=list(TEAMS),
-        metavar="N",
-        help="drones in view (default: %(default)s)",
-    )
-
-
-def run(args: argparse.Namespace) -> int:
-    seeds = args.seeds or (QUICK_SEEDS if args.quick else SEEDS)
-    results = []
-    with report.progress("motion", len(ROWS) * len(args.teams)) as advance:
-        for row in ROWS:
-            for n in args.teams:
-                if not row.lie or n > 1:
-                    results.append(summarise(row, n, [trial(row, n, seed) for seed in range(seeds)]))
-                advance(row.name)
-    report.write(args.out, NAME, {"rows": [asdict(result) for result in results]}, page(results))
-    return 0
+BENCH = Flights(
+    name="motion",
+    title="Who is who by motion alone",
+    about="",
+    seeds=seeds(60, quick=2),
+    seeds_from=0,
+    options=(
+        option(
+            "--teams",
+            "drones in view (default: %(default)s)",
+            type=count,
+            nargs="+",
+            default=list(TEAMS),
+            metavar="N",
+        ),
+    ),
+    rows=_rows,
+    facts=lambda args: {},
+    columns=(
+        ("what they do", "{row}"),
+        ("drones", "{drones}"),
+        ("flights", "{flights}"),
+        ("all named, s: median", "{named_s:.1f}"),
+        ("p95", "{named_p95_s:.1f}"),
+        ("lie said, s: median", "{said_s:.1f}"),
+        ("p95", "{said_p95_s:.1f}"),
+        ("lie found, s: median", "{found_s:.1f}"),
+        ("p95", "{found_p95_s:.1f}"),
+        ("wrong names", "{wrong} of {names}"),
+        ("of these as strangers", "{wrong_as_stranger}"),
+        ("accused", "{accused}"),
+        ("CPU per scan, ms", "{scan_ms:.2f}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

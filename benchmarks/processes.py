@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import os
+import subprocess
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
+
+import swarmtrack
 
 
 @asynccontextmanager
@@ -22,6 +25,19 @@ async def module_process(*words: str) -> AsyncIterator[asyncio.subprocess.Proces
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
+
+
+def agent_environment() -> dict[str, str]:
+    """In which an agent's process finds this very package, installed or not."""
+    here = str(Path(swarmtrack.__file__).resolve().parents[1])
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))}
+
+
+def our_command(*words: str) -> str:
+    """`swarmtrack WORDS…`, whatever comes of it; returns what it said."""
+    command = [sys.executable, "-m", "swarmtrack.agents.main", *words]
+    done = subprocess.run(command, env=agent_environment(), capture_output=True, text=True, check=False)
+    return done.stdout + done.stderr
 
 
 def cpu_seconds(pid: int | str = "self") -> float:

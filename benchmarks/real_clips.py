@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 import tempfile
@@ -25,18 +24,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import swarmtrack
-from swarmtrack.arguments import add_file, add_flag, add_list, positive
+from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_clips, add_common, add_tracker
-from swarmtrack.benchmarks.report import BenchmarkError, number
+from swarmtrack.benchmarks.harness import CLIPS, TRACKER, Benchmark, flag, listed, option, path
+from swarmtrack.benchmarks.processes import agent_environment
+from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.lab.score.clip_score import ClipScore, TrackPoints, score_clip
 from swarmtrack.messages import TrackStatus
-from swarmtrack.tracking import DEFAULT_TRACKER
 from swarmtrack.training.labelled_clips import Clip, drone_clips, find_clips, origins, read_truth
 from swarmtrack.training.labelled_images import held_out, load_frames
 
-NAME = "clips"
 QUICK_CLIPS = 2
 START_S = 1.0
 AIMS = {"recall": 0.85, "precision": 0.9, "identity_switches": 2}  # of one clip
@@ -116,12 +113,6 @@ def track_clip(
     return jsonl
 
 
-def agent_environment() -> dict[str, str]:
-    """In which an agent's process finds this very package, installed or not."""
-    here = str(Path(swarmtrack.__file__).resolve().parents[1])
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [here, os.environ.get("PYTHONPATH")]))}
-
-
 def parse_settings(assignments: Iterable[str]) -> dict[str, str]:
     """`key=value` as dotted keys and TOML values; a key without a section is the tracker's, text needs no quotes."""
     settings = {}
@@ -183,118 +174,62 @@ def as_record(name: str, score: ClipScore) -> dict[str, Any]:
     }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_clips(parser, nargs="?")
-    add_list(parser, "--set", "of the agent's config; tracker.KEY if bare", "KEY=VALUE")
-    add_flag(parser, "--video", "keep annotated videos and JSON lines, too")
-    add_flag(
-        parser,
-        "--drone-free",
-        "instead of clips with drones: those without that `train --hold-out-negatives` keeps unseen",
-    )
-    add_file(parser, "--jsonl", "instead of DATA: score what an agent wrote …")
-    add_file(parser, "--gt", "… against these labels")
-    parser.add_argument(
-        "--fps", type=positive, default=30.0, metavar="F", help="of that clip (default: %(default)g)"
-    )
-
-
-def run(args: argparse.Namespace) -> None:
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
     if (args.data is None) == (args.jsonl is None) or (args.jsonl is None) != (args.gt is None):
         raise BenchmarkError("clips: expected either DATA, or --jsonl FILE and --gt FILE")
     if args.jsonl is not None:
-        publish_scores(args.out, {args.jsonl.stem: score_file(args.jsonl, args.gt, fps=args.fps)})
-        return
-    if args.drone_free:
-        publish_false_tracks(
-            args.out,
-            held_out_clips(args.data)[: QUICK_CLIPS if args.quick else None],
-            tracker=args.tracker,
-            settings=parse_settings(args.set),
+        return _scored(
+            {args.jsonl.stem: score_file(args.jsonl, args.gt, fps=args.fps)}, tracker=None, settings={}
         )
-        return
-    publish(
-        args.out,
-        args.data,
-        tracker=args.tracker,
-        settings=parse_settings(args.set),
-        limit=QUICK_CLIPS if args.quick else None,
-        video=args.video,
-    )
+    told: dict[str, Any] = {"tracker": args.tracker, "settings": parse_settings(args.set)}
+    some = slice(QUICK_CLIPS if args.quick else None)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = args.out / "tracks" if args.video else Path(scratch)
+        if args.drone_free:
+            return _drone_free(held_out_clips(args.data)[some], folder, **told)
+        clips, scores = drone_clips(args.data)[some], {}
+        with report.progress("real clips", len(clips)) as advance:
+            for clip in clips:
+                jsonl = track_clip(clip, folder, video=args.video, **told)
+                scores[clip.name] = score_file(jsonl, clip.truth, fps=clip.fps, frames=clip.frames)
+                advance(f"{clip.name}: recall {scores[clip.name].recall:.2f}")
+    return _scored(scores, **told)
 
 
-def publish(
-    out: Path,
-    data: Path,
-    *,
-    tracker: str = DEFAULT_TRACKER,
-    settings: dict[str, str] | None = None,
-    limit: int | None = None,
-    video: bool = False,
-) -> dict[str, Any]:
-    """Track and score every clip below `data` (at most `limit`), and publish the scores.
-
-    video: keep the annotated videos and the JSON lines in `out`, too.
-    """
-    report.pyplot()  # before the work, not after it, should it be missing
-    clips = drone_clips(data)[:limit]
-    settings = settings or {}
-    scores: dict[str, ClipScore] = {}
-    with tempfile.TemporaryDirectory() as scratch, report.progress("real clips", len(clips)) as advance:
-        folder = out / "tracks" if video else Path(scratch)
-        for clip in clips:
-            jsonl = track_clip(clip, folder, tracker=tracker, settings=settings, video=video)
-            scores[clip.name] = score_file(jsonl, clip.truth, fps=clip.fps, frames=clip.frames)
-            advance(f"{clip.name}: recall {scores[clip.name].recall:.2f}")
-    return publish_scores(out, scores, tracker=tracker, settings=settings)
-
-
-def publish_false_tracks(
-    out: Path,
-    clips: Sequence[Clip],
-    *,
-    tracker: str = DEFAULT_TRACKER,
-    settings: dict[str, str] | None = None,
-) -> dict[str, Any]:
-    """Track every one of the clips, which show no drone; clips.json and clips.md into `out`."""
-    rows = []
-    with tempfile.TemporaryDirectory() as scratch, report.progress("drone-free clips", len(clips)) as advance:
-        for clip in clips:
-            jsonl = track_clip(clip, Path(scratch), tracker=tracker, settings=settings or {})
-            rows.append(count_false_tracks(clip, jsonl))
-            advance(f"{clip.name}: {rows[-1].tracks} tracks")
-    kinds = sorted({row.clip.kind for row in rows})
-    by_kind = {kind: _false_tracks([row for row in rows if row.clip.kind == kind]) for kind in kinds}
-    total = _false_tracks(rows)
-    result = {
+def _scored(scores: dict[str, ClipScore], *, tracker: str | None, settings: dict[str, str]) -> dict[str, Any]:
+    """tracker: None where nobody knows what wrote the tracks."""
+    return {
         "tracker": tracker,
-        "settings": settings or {},
+        "settings": settings,
+        "start_s": START_S,
+        "clips": [as_record(name, score) for name, score in scores.items()],
+        "total": as_record("total", sum(scores.values(), ClipScore())),
+        "aims": AIMS,
+    }
+
+
+def _drone_free(
+    clips: Sequence[Clip], folder: Path, *, tracker: str, settings: dict[str, str]
+) -> dict[str, Any]:
+    """Track every one of the clips, which show no drone."""
+    rows = []
+    with report.progress("drone-free clips", len(clips)) as advance:
+        for clip in clips:
+            rows.append(
+                count_false_tracks(clip, track_clip(clip, folder, tracker=tracker, settings=settings))
+            )
+            advance(f"{clip.name}: {rows[-1].tracks} tracks")
+    return {
+        "tracker": tracker,
+        "settings": settings,
         "start_s": START_S,
         "clips": [{"clip": row.clip.name} | _false_tracks([row]) for row in rows],
-        "by_kind": by_kind,
-        "total": total,
+        "by_kind": {
+            kind: _false_tracks([row for row in rows if row.clip.kind == kind])
+            for kind in sorted({row.clip.kind for row in rows})
+        },
+        "total": _false_tracks(rows),
     }
-    table = report.table(
-        ["", "clips", "minutes", "confirmed tracks", "per minute", "frames with one", "clips with none"],
-        [_false_row(kind, entry) for kind, entry in (by_kind | {"all": total}).items()],
-    )
-    title = f"# Confirmed tracks where no drone is\n\nEvery frame after the first {START_S:g} s of a clip."
-    report.write(out, NAME, result, f"{title}\n\n{table}\n")
-    return result
-
-
-def _false_row(kind: str, entry: dict[str, Any]) -> list[str]:
-    return [
-        kind,
-        str(entry["clips"]),
-        number(entry["minutes"]),
-        str(entry["tracks"]),
-        number(entry["tracks_per_minute"], 1),
-        f"{100 * entry['share_of_frames']:.0f} %",
-        str(entry["clean_clips"]),
-    ]
 
 
 def _false_tracks(rows: Sequence[FalseTracks]) -> dict[str, Any]:
@@ -310,74 +245,69 @@ def _false_tracks(rows: Sequence[FalseTracks]) -> dict[str, Any]:
     }
 
 
-def publish_scores(
-    out: Path,
-    scores: dict[str, ClipScore],
-    *,
-    tracker: str | None = None,
-    settings: dict[str, str] | None = None,
-) -> dict[str, Any]:
-    """clips.json, clips.md and clips.png into `out`; tracker: None where nobody knows what wrote the tracks."""
-    result = {
-        "tracker": tracker,
-        "settings": settings or {},
-        "start_s": START_S,
-        "clips": [as_record(name, score) for name, score in scores.items()],
-        "total": as_record("total", sum(scores.values(), ClipScore())),
-        "aims": AIMS,
-    }
-    report.write(out, NAME, result, _markdown(result))
-    _plot(out / f"{NAME}.png", scores)
-    return result
+COLUMNS: report.Columns = (
+    ("clip", "{clip}"),
+    ("frames", "{frames}"),
+    ("recall", "{recall:.3f}"),
+    ("precision", "{precision:.3f}"),
+    ("switches", "{identity_switches}"),
+    ("centre RMSE, px", "{centre_rmse_px:.2f}"),
+    ("aim", lambda record: "" if record["clip"] == "total" else "reached" if _reached(record) else "missed"),
+)
+FALSE_COLUMNS: report.Columns = (
+    ("", "{kind}"),
+    ("clips", "{clips}"),
+    ("minutes", "{minutes:.2f}"),
+    ("confirmed tracks", "{tracks}"),
+    ("per minute", "{tracks_per_minute:.1f}"),
+    ("frames with one", "{share_of_frames:.0p} %"),
+    ("clips with none", "{clean_clips}"),
+)
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    rows = [_row(record) for record in [*result["clips"], result["total"]]]
+def _reached(record: dict[str, Any]) -> bool:
+    good = record["recall"] >= AIMS["recall"] and record["precision"] >= AIMS["precision"]
+    return bool(good and record["identity_switches"] <= AIMS["identity_switches"])
+
+
+def _page(result: dict[str, Any]) -> str:
+    if "by_kind" in result:
+        kinds = result["by_kind"] | {"all": result["total"]}
+        return report.page(
+            "# Confirmed tracks where no drone is",
+            f"Every frame after the first {START_S:g} s of a clip.",
+            report.table_of(FALSE_COLUMNS, [{"kind": kind, **entry} for kind, entry in kinds.items()]),
+        )
     changed = [f"`{key} = {value}`" for key, value in result["settings"].items()]
     told = (
         [f"tracker `{result['tracker']}`", *changed] if result["tracker"] else ["JSON lines from elsewhere"]
     )
-    return "\n\n".join(
-        [
-            "# Real clips",
-            f"Confirmed tracks of `swarmtrack-agent` ({', '.join(told)})"
-            f" against the labelled boxes, every frame after the first {START_S:g} s. A hit lies within max(6 px, half"
-            " the longer box side) of the box's centre. Aim of a clip: recall"
-            f" {AIMS['recall']}, precision {AIMS['precision']}, at most {AIMS['identity_switches']} switches.",
-            report.table(
-                ["clip", "frames", "recall", "precision", "switches", "centre RMSE, px", "aim"], rows
-            ),
-        ]
+    return report.page(
+        "# Real clips",
+        f"Confirmed tracks of `swarmtrack-agent` ({', '.join(told)})"
+        f" against the labelled boxes, every frame after the first {START_S:g} s. A hit lies within max(6 px, half"
+        " the longer box side) of the box's centre. Aim of a clip: recall"
+        f" {AIMS['recall']}, precision {AIMS['precision']}, at most {AIMS['identity_switches']} switches.",
+        report.table_of(COLUMNS, [*result["clips"], result["total"]]),
     )
 
 
-def _row(record: dict[str, Any]) -> list[str]:
-    reached = (
-        record["recall"] >= AIMS["recall"]
-        and record["precision"] >= AIMS["precision"]
-        and record["identity_switches"] <= AIMS["identity_switches"]
-    )
-    return [
-        record["clip"],
-        str(record["frames"]),
-        number(record["recall"], 3),
-        number(record["precision"], 3),
-        str(record["identity_switches"]),
-        number(record["centre_rmse_px"]),
-        "" if record["clip"] == "total" else "reached" if reached else "missed",
-    ]
-
-
-def _plot(path: Path, scores: dict[str, ClipScore]) -> None:
-    pyplot = report.pyplot()
-    figure, axes = pyplot.subplots(figsize=(8.0, 3.6), layout="constrained")
-    place = np.arange(len(scores))
-    axes.bar(place - 0.2, [score.recall for score in scores.values()], 0.38, label="recall")
-    axes.bar(place + 0.2, [score.precision for score in scores.values()], 0.38, label="precision")
-    axes.axhline(AIMS["recall"], color="C0", linewidth=0.8, linestyle="--")
-    axes.axhline(AIMS["precision"], color="C1", linewidth=0.8, linestyle="--")
-    axes.set_xticks(place, list(scores), rotation=30, ha="right")
-    axes.set(ylim=(0.0, 1.05))
-    axes.legend(loc="lower right")
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+BENCH = Benchmark(
+    "clips",
+    _measured,
+    _page,
+    options=(
+        TRACKER,
+        CLIPS._replace(keywords={**CLIPS.keywords, "nargs": "?"}),
+        listed("--set", "of the agent's config; tracker.KEY if bare", "KEY=VALUE"),
+        flag("--video", "keep annotated videos and JSON lines, too"),
+        flag(
+            "--drone-free",
+            "instead of clips with drones: those without that `train --hold-out-negatives` keeps unseen",
+        ),
+        path("--jsonl", "instead of DATA: score what an agent wrote …", "FILE"),
+        path("--gt", "… against these labels", "FILE"),
+        option("--fps", "of that clip (default: %(default)g)", type=positive, default=30.0, metavar="F"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -14,20 +14,18 @@ import argparse
 import asyncio
 import json
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.harness import Benchmark
 from swarmtrack.benchmarks.lone_agent import scripted_agent
-from swarmtrack.benchmarks.real_clips import agent_environment
+from swarmtrack.benchmarks.processes import our_command
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.recording.reader import files_below, recordings_below
 from swarmtrack.recording.repair import repair
@@ -66,17 +64,9 @@ class Replays(NamedTuple):
         return self.flight_s / statistics.median(self.seconds)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, quick=args.quick)
-
-
-def publish(out: Path, *, quick: bool = False) -> dict[str, Any]:
-    """Fly, kill, replay; write recording.json and recording.md into `out`, and return what is in the JSON."""
-    kills = QUICK_KILLS if quick else KILLS
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """Fly, kill, replay."""
+    kills = QUICK_KILLS if args.quick else KILLS
     rng = np.random.default_rng(SEED)
     with tempfile.TemporaryDirectory(prefix=f"{NAME}-") as name:
         folder = Path(name)
@@ -85,13 +75,11 @@ def publish(out: Path, *, quick: bool = False) -> dict[str, Any]:
             for k in range(kills):
                 advance(f"kill -9, {k + 1} of {kills}")
                 killed.append(asyncio.run(_kill(folder / f"killed-{k}", rng.uniform(1.0, 6.0))))
-            replays = _replays(folder / "flight", QUICK_FLIGHT_S if quick else FLIGHT_S, advance)
-    result = {
+            replays = _replays(folder / "flight", QUICK_FLIGHT_S if args.quick else FLIGHT_S, advance)
+    return {
         "killed": [one._asdict() for one in killed],
         "replays": [{**one._asdict(), "speed": one.speed} for one in replays],
     }
-    report.write(out, NAME, result, _markdown(killed, replays))
-    return result
 
 
 async def _kill(folder: Path, seconds: float) -> Killed:
@@ -110,7 +98,7 @@ async def _kill(folder: Path, seconds: float) -> Killed:
 
 def _replays(folder: Path, seconds: float, advance: Callable[[str], None]) -> list[Replays]:
     advance("sim --record")
-    flown = _command("sim", "--detector", "oracle", "--seconds", str(seconds), "--record", str(folder))
+    flown = our_command("sim", "--detector", "oracle", "--seconds", str(seconds), "--record", str(folder))
     if not folder.is_dir():
         raise BenchmarkError(f"{NAME}: `swarmtrack sim --record` left no recording:\n{flown}")
     found = []
@@ -121,7 +109,7 @@ def _replays(folder: Path, seconds: float, advance: Callable[[str], None]) -> li
         times = []
         for _ in range(TURNS):
             began = time.monotonic()
-            said = _command("replay", *paths, "--json", str(answer))
+            said = our_command("replay", *paths, "--json", str(answer))
             times.append(time.monotonic() - began)
             if not answer.is_file():
                 raise BenchmarkError(f"{NAME}: `swarmtrack replay` wrote no result:\n{said}")
@@ -132,36 +120,32 @@ def _replays(folder: Path, seconds: float, advance: Callable[[str], None]) -> li
     return found
 
 
-def _command(*words: str) -> str:
-    """A command of ours, whatever its verdict; returns what it said."""
-    command = [sys.executable, "-m", "swarmtrack.agents.main", *words]
-    done = subprocess.run(command, env=agent_environment(), capture_output=True, text=True, check=False)
-    return done.stdout + done.stderr
+COLUMNS: report.Columns = (
+    ("replayed", "{what}"),
+    ("flight, s", "{flight_s:.1f}"),
+    (
+        "took, s",
+        lambda row: (
+            f"{statistics.median(row['seconds']):.2f} ({min(row['seconds']):.2f} to {max(row['seconds']):.2f})"
+        ),
+    ),
+    ("times real time", "{speed:.1f}"),
+    ("bit for bit", lambda row: "yes" if row["exact"] else "**no**"),
+)
 
 
-# --- for people --------------------------------------------------------------------------------------
-
-
-def _markdown(killed: Sequence[Killed], replays: Sequence[Replays]) -> str:
-    lost = [one.lost_s for one in killed]
-    readable = sum(one.readable for one in killed)
-    rows = [
-        [
-            one.what,
-            f"{one.flight_s:.1f}",
-            f"{statistics.median(one.seconds):.2f} ({min(one.seconds):.2f} to {max(one.seconds):.2f})",
-            f"{one.speed:.1f}",
-            "yes" if one.exact else "**no**",
-        ]
-        for one in replays
-    ]
-    return "\n\n".join(
-        [
-            "# Recording and replay",
-            f"SIGKILL at {len(killed)} moments: {min(lost):.2f} to {max(lost):.2f} s lost (median "
-            f"{statistics.median(lost):.2f}; at most {LOST_MOST_S:g} is wanted), {readable} of {len(killed)} "
-            "recordings readable to the end after `swarmtrack log repair`.",
-            f"`swarmtrack replay`, the whole command, median of {TURNS} ({SPEED_LEAST:g} times real time are wanted):",
-            report.table(["replayed", "flight, s", "took, s", "times real time", "bit for bit"], rows),
-        ]
+def _page(result: dict[str, Any]) -> str:
+    lost = [one["lost_s"] for one in result["killed"]]
+    readable = sum(one["readable"] for one in result["killed"])
+    return report.page(
+        "# Recording and replay",
+        f"SIGKILL at {len(lost)} moments: {min(lost):.2f} to {max(lost):.2f} s lost (median "
+        f"{statistics.median(lost):.2f}; at most {LOST_MOST_S:g} is wanted), {readable} of {len(lost)} "
+        "recordings readable to the end after `swarmtrack log repair`.",
+        f"`swarmtrack replay`, the whole command, median of {TURNS} ({SPEED_LEAST:g} times real time are wanted):",
+        report.table_of(COLUMNS, result["replays"]),
     )
+
+
+BENCH = Benchmark(NAME, _measured, _page)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -19,17 +19,14 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.arguments import count, positive
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
+from swarmtrack.benchmarks.harness import PROCESSES, Flights, Row, option, seeds
 from swarmtrack.geometry import rotation
 from swarmtrack.lab.score.intervals import mean_interval
 from swarmtrack.messages import Announcement, Array, MotionReport, RangeReport, SightingReport
@@ -40,8 +37,6 @@ from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.reading import OwnMotion
 from swarmtrack.relative.states import RelativeStates
 
-NAME = "relative"
-SEEDS, QUICK_SEEDS = 100, 10
 RANGES_M = (3.0, 10.0, 40.0)
 TEAMMATES = 5
 SECONDS, DT = 15.0, 1.0 / 7.0
@@ -368,76 +363,49 @@ def _rms(squares: Sequence[Array]) -> float:
     return math.sqrt(float(np.nanmean(np.concatenate(squares))))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--ranges", type=positive, nargs="+", metavar="M", help="at first, m (default: 3 10 40)"
-    )
-    parser.add_argument(
-        "--only", type=count, nargs="+", metavar="ROW", help="these kinds of flights, counted from 1"
-    )
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    seeds = args.seeds or (QUICK_SEEDS if args.quick else SEEDS)
-    modes = [MODES[i - 1] for i in args.only] if args.only else MODES
-    publish(args.out, seeds, tuple(args.ranges or RANGES_M), modes, processes=args.processes)
-
-
-def publish(
-    out: Path, seeds: int, ranges: Sequence[float], modes: Sequence[Mode], *, processes: int | None
-) -> dict[str, Any]:
-    """Fly everything, write relative.json and relative.md into `out`, and return what is in the JSON."""
-    found = []
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, len(ranges) * len(modes) * seeds) as advance,
-    ):
-        for mode in modes:
-            for range_m in ranges:
-                flights = []
-                for flight in pool.imap(partial(fly, range_m, mode), range(1, seeds + 1), chunksize=4):
-                    flights.append(flight)
-                    advance(f"{mode.words}, {range_m:g} m")
-                found.append({"mode": mode.words, "range_m": range_m, **summary(flights)})
-    result = {"seeds": seeds, "teammates": TEAMMATES, "rows": found}
-    report.write(out, NAME, result, _markdown(result))
-    return result
-
-
-def _markdown(result: dict[str, Any]) -> str:
-    rows = [
-        [
-            row["mode"],
-            f"{row['range_m']:g}",
-            report.number(row["rmse_m"]),
-            report.number(row["bound_m"]),
-            report.number(row["bound_speeds_unknown_m"]),
-            report.number(100.0 * row["range_error"], 1),
-            report.number(row["velocity_rmse_m_s"]),
-            "{value:.2f} ({low:.2f} … {high:.2f})".format(**row["nees6"]),
-            report.number(row["to_10_percent_s"], 1),
-        ]
-        for row in result["rows"]
+def _rows(args: argparse.Namespace) -> list[Row]:
+    return [
+        Row(
+            f"{mode.words}, {range_m:g} m",
+            partial(fly, range_m, mode),
+            summary,
+            {"mode": mode.words, "range_m": range_m},
+        )
+        for mode in (MODES[i - 1] for i in args.only or range(1, len(MODES) + 1))
+        for range_m in args.ranges
     ]
-    header = [
-        "told by",
-        "range, m",
-        "RMSE, m",
-        "bound, m",
-        "speeds unknown",
-        "range error, %",
-        "velocity, m/s",
-        "NEES / 6",
-        "to 10 %, s",
-    ]
-    return "\n\n".join(
-        [
-            "# Where teammates are",
-            f"{result['seeds']} flights a row with {result['teammates']} teammates each, {SECONDS:g} s at 7 Hz, rays "
-            "of 2.5 mrad. The bounds are those of rays and sizes alone, with the speeds of teammates known, and not.",
-            report.table(header, rows),
-        ]
-    )
+
+
+BENCH = Flights(
+    name="relative",
+    title="Where teammates are",
+    about=f"{{seeds}} flights a row with {{teammates}} teammates each, {SECONDS:g} s at 7 Hz, rays of 2.5 mrad. "
+    "The bounds are those of rays and sizes alone, with the speeds of teammates known, and not.",
+    seeds=seeds(100, quick=10),
+    options=(
+        option(
+            "--ranges",
+            "at first, m (default: 3 10 40)",
+            type=positive,
+            nargs="+",
+            default=RANGES_M,
+            metavar="M",
+        ),
+        option("--only", "these kinds of flights, counted from 1", type=count, nargs="+", metavar="ROW"),
+        PROCESSES,
+    ),
+    rows=_rows,
+    facts=lambda args: {"seeds": args.seeds, "teammates": TEAMMATES},
+    columns=(
+        ("told by", "{mode}"),
+        ("range, m", "{range_m:g}"),
+        ("RMSE, m", "{rmse_m:.2f}"),
+        ("bound, m", "{bound_m:.2f}"),
+        ("speeds unknown", "{bound_speeds_unknown_m:.2f}"),
+        ("range error, %", "{range_error:.1p}"),
+        ("velocity, m/s", "{velocity_rmse_m_s:.2f}"),
+        ("NEES / 6", "{nees6:.2f}"),
+        ("to 10 %, s", "{to_10_percent_s:.1f}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -7,7 +7,7 @@
   at 50 Hz, and its message encoded; once of teammates with names and places, once of five that nobody announced. The
   difference is what metres (and names) cost.
 
-    swarmtrack bench relative-cost [--quick] --out DIR
+Processor time: medians, and means of messages (`swarmtrack bench cost --of metres`).
 """
 
 from __future__ import annotations
@@ -15,25 +15,16 @@ from __future__ import annotations
 import argparse
 import math
 import time
-from collections.abc import Callable
-from functools import partial
 from itertools import count
-from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.figures import UNCOUNTED, Figure, median_s
+from swarmtrack.benchmarks.lone_onboard import lone_onboard
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
-from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement, Array, Detections, EgoPose, FlightState, ImuSample, TrackList
 from swarmtrack.motion.ego import EgoHistory
-from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.alignment import WINDOW_S, FrameSight, SightErrors, align
 from swarmtrack.relative.frames import APART_S
 from swarmtrack.relative.looks import TeamLook
@@ -44,7 +35,6 @@ from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracke
 from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import tracks_message
 
-NAME = "relative-cost"
 REPEATS, QUICK_REPEATS = 3000, 200
 TEAMMATES = (1, 5, 10)
 READ_BUDGET_US, SCAN_BUDGET_MS, ALIGN_BUDGET_MS, PUBLISH_BUDGET_MS = 60.0, 1.0, 1.0, 0.1
@@ -54,15 +44,6 @@ WARM_UP_S = 4.0
 IN_VIEW = 5
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 STILL = OwnMotion(np.zeros(3), np.zeros(3), 0.01 * np.eye(3), 1e-4 * np.eye(3))
-
-
-class Cost(NamedTuple):
-    """One figure, and what it may be."""
-
-    what: str
-    value: float
-    unit: str
-    budget: float | None = None
 
 
 def places(n: int) -> Array:
@@ -95,31 +76,21 @@ def look(n: int, t: float) -> TeamLook:
     )
 
 
-def median_cpu(function: Callable[[], object], repeats: int) -> float:
-    """s: of a call's processor time."""
-    spent = []
-    for _ in range(repeats):
-        began = time.process_time_ns()
-        function()
-        spent.append(time.process_time_ns() - began)
-    return 1e-9 * float(np.median(spent))
-
-
-def reading(n: int, repeats: int) -> Cost:
+def reading(n: int, repeats: int) -> Figure:
     """Of all n states at once, at ever another time."""
     states, t = watching(n)
     ahead = count()
-    spent = median_cpu(lambda: states.at(t + 1e-3 * (next(ahead) % 100), STILL), repeats)
+    spent = median_s(lambda: states.at(t + 1e-3 * (next(ahead) % 100), STILL), repeats, time.process_time)
     assert len(states.at(t, STILL)) == n
-    return Cost(f"read {n}", 1e6 * spent, "µs", READ_BUDGET_US if n == max(TEAMMATES) else None)
+    return Figure(f"read {n}", 1e6 * spent, "µs", READ_BUDGET_US if n == max(TEAMMATES) else None)
 
 
-def scanning(n: int, repeats: int) -> Cost:
+def scanning(n: int, repeats: int) -> Figure:
     """One scan of n teammates folded in."""
     states, t = watching(n)
-    looks = iter([look(n, t + (k + 1) / 7.0) for k in range(repeats)])
-    spent = median_cpu(lambda: states.observe(next(looks)), repeats)
-    return Cost(f"scan of {n}", 1e3 * spent, "ms", SCAN_BUDGET_MS if n == max(TEAMMATES) else None)
+    looks = iter([look(n, t + (k + 1) / 7.0) for k in range(repeats + UNCOUNTED)])
+    spent = median_s(lambda: states.observe(next(looks)), repeats, time.process_time)
+    return Figure(f"scan of {n}", 1e3 * spent, "ms", SCAN_BUDGET_MS if n == max(TEAMMATES) else None)
 
 
 def circling() -> list[FrameSight]:
@@ -132,31 +103,23 @@ def circling() -> list[FrameSight]:
     return sights
 
 
-def aligning(repeats: int) -> Cost:
+def aligning(repeats: int) -> Figure:
     """The frame of one teammate, from a full window."""
     sights = circling()
     errors = SightErrors(ray=8e-3, place=0.1, size=0.14, lasting=0.19, drift=0.02, turn_drift=0.002)
     assert align(sights, sights[-1].t, errors) is not None
-    spent = median_cpu(lambda: align(sights, sights[-1].t, errors), repeats)
-    return Cost(f"align {len(sights)} mutual sightings", 1e3 * spent, "ms", ALIGN_BUDGET_MS)
+    spent = median_s(lambda: align(sights, sights[-1].t, errors), repeats, time.process_time)
+    return Figure(f"align {len(sights)} mutual sightings", 1e3 * spent, "ms", ALIGN_BUDGET_MS)
 
 
 class Hovering:
     """A drone that sees five others. announced: whether they are its teammates."""
 
     def __init__(self, *, announced: bool) -> None:
-        self.onboard = Onboard(
-            1,
-            cameras=[
-                OnboardCamera(
-                    CAMERA,
-                    Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
-                    create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
-                )
-            ],
-            gyro=GyroHistory(),
+        self.onboard = lone_onboard(
+            CAMERA,
+            create_tracker(DEFAULT_TRACKER, camera=CAMERA, **AGENT_PARAMETERS),
             ego=EgoHistory(origin=np.zeros(3)),
-            identity=IdentityParameters(),
             relative=RelativeParameters(airframe_span_m=SPAN_M),
         )
         self.t = 0.0
@@ -205,7 +168,7 @@ class Hovering:
         self.onboard.tell(Detections(self.t, int(1e3 * self.t), centre, size, np.full(IN_VIEW, 0.9)))
 
 
-def publishing(repeats: int) -> list[Cost]:
+def publishing(repeats: int) -> list[Figure]:
     """Of five teammates, beside five that are nobody."""
     spent = {}
     for announced in (False, True):
@@ -220,10 +183,10 @@ def publishing(repeats: int) -> list[Cost]:
             durations.append(time.process_time_ns() - began)
         spent[announced] = 1e-6 * float(np.mean(durations))
     return [
-        Cost(f"message with {IN_VIEW} tracks that are nobody", spent[False], "ms"),
-        Cost(f"message with {IN_VIEW} teammates in metres", spent[True], "ms"),
-        Cost("metres in a message", spent[True] - spent[False], "ms", PUBLISH_BUDGET_MS),
-        Cost(
+        Figure(f"message with {IN_VIEW} tracks that are nobody", spent[False], "ms"),
+        Figure(f"message with {IN_VIEW} teammates in metres", spent[True], "ms"),
+        Figure("metres in a message", spent[True] - spent[False], "ms", PUBLISH_BUDGET_MS),
+        Figure(
             f"metres in {PUBLISH_HZ:g} messages per second",
             0.1 * PUBLISH_HZ * (spent[True] - spent[False]),
             "%",
@@ -232,39 +195,13 @@ def publishing(repeats: int) -> list[Cost]:
     ]
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, QUICK_REPEATS if args.quick else REPEATS)
-
-
-def publish(out: Path, repeats: int) -> dict[str, Any]:
-    """Measure everything, write relative-cost.json and .md into `out`, and return what is in the JSON."""
-    parts = [partial(reading, n, repeats) for n in TEAMMATES]
-    parts += [partial(scanning, n, max(repeats // 10, 20)) for n in TEAMMATES]
-    parts.append(partial(aligning, max(repeats // 10, 20)))
-    costs: list[Cost] = []
-    with report.progress(NAME, len(parts) + 1) as advance:
-        for part in parts:
-            costs.append(part())
-            advance(costs[-1].what)
-        costs += publishing(repeats)
-        advance("")
-    result = {"costs": [cost._asdict() for cost in costs]}
-    report.write(out, NAME, result, _markdown(costs))
-    return result
-
-
-def _markdown(costs: list[Cost]) -> str:
-    rows = [
-        [
-            cost.what,
-            f"{report.number(cost.value, 3 if cost.unit == 'ms' else 1)} {cost.unit}",
-            "" if cost.budget is None else f"{cost.budget:g} {cost.unit}",
-        ]
-        for cost in costs
+def measured(args: argparse.Namespace) -> list[Figure]:
+    """Everything."""
+    repeats = QUICK_REPEATS if args.quick else REPEATS
+    few = max(repeats // 10, 20)
+    return [
+        *(reading(n, repeats) for n in TEAMMATES),
+        *(scanning(n, few) for n in TEAMMATES),
+        aligning(few),
+        *publishing(repeats),
     ]
-    words = "Processor time; medians, and means of messages."
-    return "\n\n".join(["# What metres cost", words, report.table(["", "found", "at most"], rows)])

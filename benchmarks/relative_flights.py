@@ -17,16 +17,13 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
+from swarmtrack.benchmarks.harness import PROCESSES, Flights, Row, seeds, some_of
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.lab.scenarios.files import load_scenario
@@ -38,8 +35,6 @@ from swarmtrack.motion.heading import HeadingSigma
 from swarmtrack.relative.log_range import across
 from swarmtrack.relative.parameters import RelativeParameters
 
-NAME = "relative-flights"
-SEEDS, QUICK_SEEDS = 20, 2
 SECONDS = {"crossing": 25.0, "errand": 60.0, "occlusion": 25.0}
 DRONES = 3
 BEGIN_S = 1.0
@@ -154,60 +149,41 @@ def summary(flights: Sequence[Sequence[Compared]]) -> dict[str, Any]:
     }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--scenarios", nargs="+", choices=list(SECONDS), default=list(SECONDS), help="(default: all)"
-    )
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(
-        args.out,
-        args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        [kind for kind in KINDS if kind.scenario in args.scenarios],
-        processes=args.processes,
-    )
-
-
-def publish(out: Path, seeds: int, kinds: Sequence[Kind], *, processes: int | None) -> dict[str, Any]:
-    """Fly everything, write the JSON and the page into `out` after each row, and return what is in the JSON."""
-    rows: list[dict[str, Any]] = []
-    result = {"seeds": seeds, "drones": DRONES, "rows": rows}
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, len(kinds) * seeds) as advance,
-    ):
-        for kind in kinds:
-            flights = []
-            for flight in pool.imap(partial(fly, kind), range(1, seeds + 1)):
-                flights.append(flight)
-                advance(f"{kind.scenario}, {kind.words}")
-            rows.append({"scenario": kind.scenario, "known": kind.words, **summary(flights)})
-            report.write(out, NAME, result, _markdown(result))
-    return result
-
-
-def _markdown(result: dict[str, Any]) -> str:
-    rows = [
-        [
-            row["scenario"],
-            row["known"],
-            str(row["states"]),
-            *(f"{100.0 * row['range_error'][of]:.1f}" for of in ("p50", "p95")),
-            report.number(row["rmse_m"]),
-            report.number(row["velocity_rmse_m_s"]),
-            *(report.number(row["nees6"][of]) for of in ("median", "mean")),
-            " ".join(report.number(part) for part in row["nees_parts"]),
-        ]
-        for row in result["rows"]
-        if row["states"]
+def _rows(args: argparse.Namespace) -> list[Row]:
+    return [
+        Row(
+            f"{kind.scenario}, {kind.words}",
+            partial(fly, kind),
+            summary,
+            {"scenario": kind.scenario, "known": kind.words},
+        )
+        for kind in KINDS
+        if kind.scenario in args.scenarios
     ]
-    header = [
-        "scenario", "known", "states", "range error, %: median", "95 %", "RMSE, m", "velocity, m/s",
-        "NEES / 6: median", "mean", "of place along, across, velocity along, across",
-    ]  # fmt: skip
-    words = f"{result['seeds']} flights a row, {result['drones']} drones. Truth against every state that bears a name."
-    return "\n\n".join(["# Where teammates are, in whole flights", words, report.table(header, rows)])
+
+
+BENCH = Flights(
+    name="relative-flights",
+    title="Where teammates are, in whole flights",
+    about="{seeds} flights a row, {drones} drones. Truth against every state that bears a name.",
+    seeds=seeds(20, quick=2),
+    options=(some_of("--scenarios", SECONDS), PROCESSES),
+    rows=_rows,
+    facts=lambda args: {"seeds": args.seeds, "drones": DRONES},
+    columns=(
+        ("scenario", "{scenario}"),
+        ("known", "{known}"),
+        ("states", "{states}"),
+        ("range error, %: median", "{range_error[p50]:.1p}"),
+        ("95 %", "{range_error[p95]:.1p}"),
+        ("RMSE, m", "{rmse_m:.2f}"),
+        ("velocity, m/s", "{velocity_rmse_m_s:.2f}"),
+        ("NEES / 6: median", "{nees6[median]:.2f}"),
+        ("mean", "{nees6[mean]:.2f}"),
+        (
+            "of place along, across, velocity along, across",
+            "{nees_parts[0]:.2f} {nees_parts[1]:.2f} {nees_parts[2]:.2f} {nees_parts[3]:.2f}",
+        ),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

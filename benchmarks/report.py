@@ -1,4 +1,9 @@
-"""What every benchmark leaves behind: NAME.json for programs, NAME.md for people, plots; and its line of progress."""
+"""What every benchmark leaves behind: NAME.json for programs, NAME.md for people, plots; and its line of progress.
+
+Cells of a table are templates of what stands in its row, a dictionary or an object, as `str.format` has them:
+"{runs}", "{rmse_px[p50]:.2f}". A number that is none is "–"; `.1p` is percent, without the sign, `.1m` thousandths; of
+an interval, with value, low and high, both ends follow in brackets, with `.1p%` after the sign.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +11,8 @@ import json
 import math
 import os
 import platform
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import string
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -64,8 +70,53 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+Columns = Sequence[tuple[str, str | Callable[[Any], str]]]
+"""Of a table: title, and a cell as a template, or as a function of the row."""
+
+
+def table_of(columns: Columns, rows: Iterable[Any], *, numbers: bool = True) -> str:
+    """A Markdown table of rows with these columns."""
+    cells = [
+        [filled(cell, row) if isinstance(cell, str) else cell(row) for _, cell in columns] for row in rows
+    ]
+    return table([title for title, _ in columns], cells, numbers=numbers)
+
+
+def filled(template: str, row: Any) -> str:
+    """See the module."""
+    return _Filler(row).vformat(template, (), {})
+
+
+class _Filler(string.Formatter):
+    def __init__(self, row: Any) -> None:
+        self._row = row
+
+    def get_value(self, key: int | str, args: Any, kwargs: Any) -> Any:
+        return self._row[key] if isinstance(self._row, Mapping) else getattr(self._row, str(key))
+
+    def format_field(self, value: Any, spec: str) -> str:
+        if isinstance(value, Mapping) and spec:
+            spec, sign, _ = spec.partition("%")
+            middle, *ends = (self.format_field(value[name], spec) for name in ("value", "low", "high"))
+            return f"{middle}{' %' if sign else ''} ({' … '.join(ends)})"
+        if value is None or (isinstance(value, float) and not math.isfinite(value)):
+            return "–"
+        # Percent, and thousandths.
+        times = {"p": 100.0, "m": 1e3}.get(spec[-1:])
+        return f"{times * value:{spec[:-1]}f}" if times else format(value, spec)
+
+
 def number(value: float, digits: int = 2) -> str:
     return f"{value:.{digits}f}" if math.isfinite(value) else "–"
+
+
+def verdict(ok: bool) -> str:
+    return "holds" if ok else "**fails**"
+
+
+def page(*parts: str) -> str:
+    """Its paragraphs, tables and headings."""
+    return "\n\n".join(part for part in parts if part)
 
 
 def machine() -> dict[str, Any]:
@@ -89,6 +140,12 @@ def pyplot() -> Any:
     from matplotlib import pyplot  # noqa: PLC0415
 
     return pyplot
+
+
+def save(figure: Any, path: Path, dpi: int = 130) -> None:
+    """A plot that is drawn."""
+    figure.savefig(path, dpi=dpi)
+    pyplot().close(figure)
 
 
 def _machine_line() -> str:

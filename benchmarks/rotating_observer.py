@@ -17,17 +17,17 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
-from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.benchmarks.harness import TRACKER, Benchmark, flown, seeds
+from swarmtrack.benchmarks.lone_onboard import lone_onboard
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import HOVER_S, Scenario
 from swarmtrack.lab.score.intervals import Interval, bootstrap_interval
@@ -35,19 +35,15 @@ from swarmtrack.lab.world.sensors import DetectorParameters, Imu, ImuParameters,
 from swarmtrack.lab.world.trajectory import SteadyYaw, Trajectory
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Detections, ImuSample, TrackStatus
-from swarmtrack.motion.ego import EgoHistory
-from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard, OnboardCamera
-from swarmtrack.tracking import DEFAULT_TRACKER, create_tracker
+from swarmtrack.tracking import create_tracker
 
 NAME = "rotation"
-SEEDS, QUICK_SEEDS = 100, 4
 OBSERVER = 1
 AGILE = {
     "acceleration_psd": 1e6,
     "birth_speed_sigma": 800.0,
 }  # the least error of 1e4, 1e5, 1e6, 3e6 and 1e7 px²/s³
+PER_CONDITION = ("rmse_px", "median_px", "untracked_share")
 MAX_ROTATING = 2.0  # times the still observer's error: the claim
 MIN_WITHOUT_GYRO = 5.0  # times the error with the gyro: the claim
 READ_HZ = 100.0
@@ -116,7 +112,7 @@ class Sensed(NamedTuple):
     truth: Array
 
 
-def fly(experiment: Experiment, seed: int, tracker: str, parameters: dict[str, Any]) -> dict[str, Run]:
+def fly(experiment: Experiment, tracker: str, seed: int) -> dict[str, Run]:
     """All conditions of one seed; those that swing see the same samples and scans."""
     scenario = load_scenario("yawing-observer", seed=seed)
     swinging = _sense(scenario, experiment)
@@ -127,7 +123,7 @@ def fly(experiment: Experiment, seed: int, tracker: str, parameters: dict[str, A
             swinging if condition.swings else still,
             experiment,
             tracker,
-            parameters | condition.parameters,
+            condition.parameters,
             gyro=condition.gyro,
         )
         for name, condition in CONDITIONS.items()
@@ -172,41 +168,22 @@ def _track(
     gyro: bool,
 ) -> Run:
     """Feed one Onboard in the order of arrival, and ask it at every instant what holds now."""
-    onboard = Onboard(
-        OBSERVER,
-        cameras=[
-            OnboardCamera(
-                scenario.camera,
-                Mounting(scenario.body_from_camera),
-                create_tracker(tracker, camera=scenario.camera, **parameters),
-            )
-        ],
-        gyro=GyroHistory(),
-        ego=EgoHistory(),
-        identity=IdentityParameters(),
-    )
+    follower = create_tracker(tracker, camera=scenario.camera, **parameters)
+    onboard = lone_onboard(scenario.camera, follower, scenario.body_from_camera, drone_id=OBSERVER)
     errors = np.full(sensed.truth.shape[:2], np.nan)
-    for kind, index in _arrivals(sensed, e.latency_s):
-        if kind == "imu":
-            if gyro:
-                onboard.tell(sensed.imu[index])
-        elif kind == "scan":
-            onboard.tell(sensed.scans[index])
-        else:
-            tracks = onboard.tracks(float(sensed.t[index])).tracks
-            alive = [entry.track for entry in tracks if entry.track.status is not TrackStatus.TENTATIVE]
-            centres = np.array([track.mean[::2] for track in alive]).reshape(-1, 2)
-            errors[index] = _errors(sensed.truth[index], centres)
+    # At one instant samples come first, then scans, then the question.
+    events: list[tuple[float, int, Any]] = [(sample.t, 0, sample) for sample in sensed.imu if gyro]
+    events += [(scan.t + e.latency_s, 1, scan) for scan in sensed.scans]
+    events += [(float(t), 2, index) for index, t in enumerate(sensed.t)]
+    for t, _, what in sorted(events, key=lambda event: event[:2]):
+        if not isinstance(what, int):
+            onboard.tell(what)
+            continue
+        tracks = onboard.tracks(t).tracks
+        alive = [entry.track for entry in tracks if entry.track.status is not TrackStatus.TENTATIVE]
+        centres = np.array([track.mean[::2] for track in alive]).reshape(-1, 2)
+        errors[what] = _errors(sensed.truth[what], centres)
     return Run(sensed.t, errors, np.isfinite(sensed.truth[:, :, 0]))
-
-
-def _arrivals(sensed: Sensed, latency_s: float) -> Iterator[tuple[str, int]]:
-    """What arrives, in order of arrival; at one instant samples first, then scans, then the question."""
-    events = [(sample.t, 0, "imu", index) for index, sample in enumerate(sensed.imu)]
-    events += [(scan.t + latency_s, 1, "scan", index) for index, scan in enumerate(sensed.scans)]
-    events += [(float(t), 2, "read", index) for index, t in enumerate(sensed.t)]
-    for _, _, kind, index in sorted(events):
-        yield kind, index
 
 
 def _errors(truth: Array, centres: Array) -> Array:
@@ -249,103 +226,50 @@ def summarise(runs: list[dict[str, Run]]) -> dict[str, Any]:
     }
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    experiment = QUICK if args.quick else Experiment()
+    (runs,) = flown(NAME, [("", partial(fly, experiment, args.tracker))], range(args.seeds), processes=1)
+    return {"seeds": args.seeds, "tracker": args.tracker, "experiment": asdict(experiment), **summarise(runs)}
 
 
-def run(args: argparse.Namespace) -> None:
-    publish(
-        args.out,
-        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        tracker=args.tracker,
-        experiment=QUICK if args.quick else Experiment(),
-    )
-
-
-def publish(
-    out: Path,
-    *,
-    seeds: int = 100,
-    tracker: str = DEFAULT_TRACKER,
-    parameters: dict[str, Any] | None = None,
-    experiment: Experiment | None = None,
-) -> dict[str, Any]:
-    """Fly all seeds, write rotation.json, rotation.md and rotation.png into `out`, and return what is in the JSON."""
-    report.pyplot()  # before the work, not after it, should it be missing
-    experiment, parameters = experiment or Experiment(), parameters or {}
-    runs = []
-    with report.progress("rotating observer", seeds) as advance:
-        for seed in range(seeds):
-            runs.append(fly(experiment, seed, tracker, parameters))
-            advance(f"seed {seed}")
-    result = {
-        "seeds": seeds,
-        "tracker": tracker,
-        "parameters": parameters,
-        "experiment": asdict(experiment),
-        **summarise(runs),
-    }
-    report.write(out, NAME, result, _markdown(result))
-    _plot(out / f"{NAME}.png", runs, experiment)
-    return result
-
-
-def _markdown(result: dict[str, Any]) -> str:
-    e = result["experiment"]
-    rows = []
-    for name in CONDITIONS:
-        error, untracked = result["rmse_px"][name], result["untracked_share"][name]
-        rows.append(
-            [name, _with_interval(error), f"{result['median_px'][name]:.1f}", f"{100 * untracked:.1f} %"]
-        )
+def _page(result: dict[str, Any]) -> str:
+    rows = [{"name": name, **{what: result[what][name] for what in PER_CONDITION}} for name in CONDITIONS]
     rotating, ablation = result["rotating_over_still"], result["no_gyro_over_gyro"]
-    claims = [
-        ["rotating / still", _with_interval(rotating), f"≤ {MAX_ROTATING:g}", _verdict(rotating)],
-        [
-            "better one without gyro / with it",
-            _with_interval(ablation),
-            f"≥ {MIN_WITHOUT_GYRO:g}",
-            _verdict(ablation),
-        ],
-    ]
-    return "\n\n".join(
-        [
-            "# Rotating observer",
-            f"Yaw ±2 rad/s, {e['detections_hz']:g} Hz detections {1e3 * e['latency_s']:.0f} ms late,"
-            f" σ {e['detector']['centre_sigma']:g} px, tracker `{result['tracker']}`, {result['seeds']} seeds, tracks"
-            f" read at {READ_HZ:g} Hz for the instant of reading; 95 % intervals over seeds.",
-            report.table(
-                ["observer", "error between detections, px RMSE", "median, px", "in view, not tracked"], rows
+    return report.page(
+        "# Rotating observer",
+        report.filled(
+            "Yaw ±2 rad/s, {experiment[detections_hz]:g} Hz detections {experiment[latency_s]:.0m} ms late, "
+            "σ {experiment[detector][centre_sigma]:g} px, tracker `{tracker}`, {seeds} seeds, tracks "
+            f"read at {READ_HZ:g} Hz for the instant of reading; 95 % intervals over seeds.",
+            result,
+        ),
+        report.table_of(
+            (
+                ("observer", "{name}"),
+                ("error between detections, px RMSE", "{rmse_px:.2f}"),
+                ("median, px", "{median_px:.1f}"),
+                ("in view, not tracked", "{untracked_share:.1p} %"),
             ),
-            report.table(["ratio", "found", "claim", ""], claims),
-        ]
+            rows,
+        ),
+        report.table_of(
+            (
+                ("ratio", "{what}"),
+                ("found", "{found:.2f}"),
+                ("claim", "{claim}"),
+                ("", lambda row: report.verdict(row["found"]["ok"])),
+            ),
+            [
+                {"what": "rotating / still", "found": rotating, "claim": f"≤ {MAX_ROTATING:g}"},
+                {
+                    "what": "better one without gyro / with it",
+                    "found": ablation,
+                    "claim": f"≥ {MIN_WITHOUT_GYRO:g}",
+                },
+            ],
+        ),
     )
 
 
-def _with_interval(entry: dict[str, float]) -> str:
-    return f"{entry['value']:.2f} ({entry['low']:.2f} … {entry['high']:.2f})"
-
-
-def _verdict(entry: dict[str, Any]) -> str:
-    return "holds" if entry["ok"] else "**fails**"
-
-
-def _plot(path: Path, runs: list[dict[str, Run]], e: Experiment) -> None:
-    """RMSE over the seeds at every instant of three seconds; detections arrive at the dotted lines."""
-    pyplot = report.pyplot()
-    figure, axes = pyplot.subplots(figsize=(8.0, 4.0), layout="constrained")
-    t = runs[0]["still"].t
-    shown = t < t[0] + 3.0
-    for name in CONDITIONS:
-        error = np.concatenate([run[name].error[shown] for run in runs], axis=1)
-        axes.plot(t[shown] - t[0], np.sqrt(np.nanmean(error**2, axis=1)), label=name)
-    period = 1.0 / e.detections_hz
-    first = math.ceil((t[0] - e.latency_s) / period) * period + e.latency_s
-    for arrival in np.arange(first, t[shown][-1], period):
-        axes.axvline(arrival - t[0], color="0.7", linestyle=":", linewidth=0.8)
-    axes.set(xlabel="time, s", ylabel="track error now, px RMSE", yscale="log")
-    axes.legend(loc="center right")
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+BENCH = Benchmark(NAME, _measured, _page, options=(TRACKER, seeds(100, quick=4)))
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -17,24 +17,27 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import multiprocessing
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 
-from swarmtrack.arguments import add_flag, positive
+from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import (
-    add_common,
-    add_processes,
-    add_scenarios,
-    add_second_stage,
-    add_seeds,
-    add_tracker,
+from swarmtrack.benchmarks.harness import (
+    PROCESSES,
+    SECOND_STAGE,
+    TRACKER,
+    Flights,
+    Row,
+    flag,
+    option,
+    scenarios,
+    seeds,
+    share,
+    shares,
 )
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.rendered_eyes import rendered_eyes
@@ -42,13 +45,11 @@ from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.config.drone import DetectorSection
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
-from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.lab.score.swarm_score import MIN_HIT_RADIUS, RATE_HZ, Glance, NamedTrack, SwarmScore
 from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.messages import Image
 from swarmtrack.tracking import DEFAULT_TRACKER
 
-NAME = "scenery"
 SCENARIOS = ("hover-triangle", "crossing", "fast-yaw", "errand")
 SEEDS, QUICK_SEEDS = 20, 2
 SECONDS, QUICK_SECONDS = 14.0, 8.0
@@ -149,133 +150,71 @@ def fly(p: Programme, name: str, seed: int) -> Flight:
     return Flight(seed, score, tuple(watch.standing.values()), watch.tracks, watch.glances / RATE_HZ)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    add_scenarios(parser, SCENARIOS)
-    parser.add_argument(
-        "--fps", type=positive, default=FPS, metavar="F", help="of the cameras (default: %(default)g)"
-    )
-    add_second_stage(parser)
-    add_flag(parser, "--one-world", "the world of seed 1 in all flights, seen at other times")
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    programme = Programme(
-        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        seconds=QUICK_SECONDS if args.quick else SECONDS,
-        fps=args.fps,
-        tracker=args.tracker,
-        second_stage=args.second_stage,
-        one_world=args.one_world,
-    )
-    publish(args.out, programme, args.scenarios, processes=args.processes)
-
-
-def publish(
-    out: Path, p: Programme, scenarios: Sequence[str], *, processes: int | None = None
-) -> dict[str, Any]:
-    """Fly everything, write scenery.json, .md and .png into `out` after each scenario."""
-    plt = report.pyplot()
-    for scenario in scenarios:
-        load_scenario(scenario)  # now, not after an hour of others
-    rows: dict[str, Any] = {}
-    result = dataclasses.asdict(p) | {"scenarios": rows}
-    longest: list[tuple[str, int, Standing]] = []
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, len(scenarios) * p.seeds) as advance,
-    ):
-        for scenario in scenarios:
-            flights: list[Flight] = []
-            for flight in pool.imap(partial(fly, p, scenario), range(1, p.seeds + 1)):
-                flights.append(flight)
-                longest += [(scenario, flight.seed, standing) for standing in flight.standing]
-                advance(scenario)
-            rows[scenario] = summary(flights)
-            longest = sorted(longest, key=lambda each: -each[2].seconds)[:SHOWN]
-            report.write(out, NAME, result, _markdown(result))
-    _plot(plt, out / f"{NAME}.png", p, longest)
-    return result
-
-
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:
     """The columns of one row of the table."""
+    scores = [flight.score for flight in flights]
     times = [standing.seconds for flight in flights for standing in flight.standing]
     minutes = sum(flight.observed_s for flight in flights) / 60.0
-    tracks = np.array([flight.tracks for flight in flights], float)
+    tracks = np.array([flight.tracks for flight in flights])
     on_nothing = np.array([sum(s.seconds for s in flight.standing) * RATE_HZ for flight in flights])
-    samples = np.array([flight.score.samples for flight in flights], float)
-    recall = np.nan_to_num([flight.score.recall for flight in flights]) * samples
-    named = [seconds for flight in flights for seconds in flight.score.time_to_identify_s.values()]
-    wrong = np.nan_to_num([flight.score.wrong for flight in flights]) * samples
-    rmse = [max(flight.score.rmse_px.values(), default=np.nan) for flight in flights]
+    named = [seconds for score in scores for seconds in score.time_to_identify_s.values()]
+    rmse = [max(score.rmse_px.values(), default=np.nan) for score in scores]
     return {
         "minutes": minutes,
         "standing": len(times),
         "standing_per_minute": len(times) / minutes,
         "standing_long": sum(seconds > LONG_S for seconds in times),
         "standing_longest_s": max(times, default=0.0),
-        "recall": fraction_interval(recall, samples)._asdict(),
-        "precision": fraction_interval(tracks - on_nothing, tracks)._asdict(),
+        **shares(scores, "recall"),
+        "precision": share(tracks - on_nothing, tracks),
         "rmse_px": {"p50": float(np.nanmedian(rmse)), "max": float(np.nanmax(rmse))},
         "identified_median_s": float(np.median(named)) if named else None,
         "identified_slowest_s": max(named, default=None),
-        "wrong": fraction_interval(wrong, samples)._asdict(),
+        **shares(scores, "wrong"),
     }
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    def percent(interval: dict[str, float]) -> str:
-        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
-        return f"{value:.2f} ({low:.2f} … {high:.2f})"
+def _programme(args: argparse.Namespace) -> Programme:
+    seconds = QUICK_SECONDS if args.quick else SECONDS
+    return Programme(
+        seeds=args.seeds, seconds=seconds, fps=args.fps, tracker=args.tracker, second_stage=args.second_stage,
+        one_world=args.one_world,
+    )  # fmt: skip
 
-    header = [
-        "", "minutes", "standing, per minute", f"longer than {LONG_S:g} s", "longest, s", "recall, %",
-        "precision, %", "RMSE, px: median, worst", "identified after, s: median, slowest", "wrong names, %",
-    ]  # fmt: skip
-    rows = [
-        [
-            name,
-            report.number(row["minutes"], 1),
-            f"{row['standing']}, {report.number(row['standing_per_minute'])}",
-            str(row["standing_long"]),
-            report.number(row["standing_longest_s"], 1),
-            percent(row["recall"]),
-            percent(row["precision"]),
-            f"{report.number(row['rmse_px']['p50'])}, {report.number(row['rmse_px']['max'])}",
-            ", ".join("–" if s is None else f"{s:.1f}" for s in _identified(row)),
-            percent(row["wrong"]),
-        ]
-        for name, row in result["scenarios"].items()
+
+def _rows(args: argparse.Namespace) -> list[Row]:
+    # Each is loaded now, not after an hour of others.
+    return [
+        Row(
+            load_scenario(name).name,
+            partial(fly, _programme(args), name),
+            summary,
+            {"name": name},
+            place=("scenarios", name),
+        )
+        for name in args.scenarios
     ]
-    return (
-        f"# Confirmed tracks among houses, poles and trees\n\n{result['seeds']} flights of {result['seconds']:g} s"
-        f"{' in one world' if result['one_world'] else ''},"
-        f" {result['fps']:g} frames/s, tracker `{result['tracker']}`, second stage `{result['second_stage']}`;"
-        f" shares with 95 % intervals over flights.\n\n{report.table(header, rows)}\n"
-    )
 
 
-def _identified(row: dict[str, Any]) -> tuple[float | None, float | None]:
-    return row["identified_median_s"], row["identified_slowest_s"]
-
-
-def _plot(plt: Any, path: Path, p: Programme, longest: Sequence[tuple[str, int, Standing]]) -> None:
+def _plot(args: argparse.Namespace, flights: dict[str, list[Flight]]) -> None:
     """What the tracks were on that stood for longest."""
-    figure, axes = plt.subplots(3, SHOWN // 3, figsize=(11.0, 9.0), layout="constrained")
+    figure, axes = report.pyplot().subplots(3, SHOWN // 3, figsize=(11.0, 9.0), layout="constrained")
+    standing = [
+        (name, flight.seed, one)
+        for name, many in flights.items()
+        for flight in many
+        for one in flight.standing
+    ]
     for spot in axes.flat:
         spot.axis("off")
-    for spot, (name, seed, standing) in zip(axes.flat, longest, strict=False):
-        spot.imshow(cv2.cvtColor(picture_of(p, name, seed, standing), cv2.COLOR_BGR2RGB))
-        whose = f"{name}, seed {seed}, drone {standing.observer}"
-        spot.set_title(f"{whose}\n{standing.seconds:.1f} s", fontsize=9)
-    if not longest:
+    for spot, (name, seed, one) in zip(
+        axes.flat, sorted(standing, key=lambda each: -each[2].seconds), strict=False
+    ):
+        spot.imshow(cv2.cvtColor(picture_of(_programme(args), name, seed, one), cv2.COLOR_BGR2RGB))
+        spot.set_title(f"{name}, seed {seed}, drone {one.observer}\n{one.seconds:.1f} s", fontsize=9)
+    if not standing:
         figure.suptitle("no confirmed track but on drones")
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    report.save(figure, args.out / "scenery.png", dpi=110)
 
 
 def picture_of(p: Programme, name: str, seed: int, standing: Standing) -> Image:
@@ -286,3 +225,43 @@ def picture_of(p: Programme, name: str, seed: int, standing: Standing) -> Image:
     image = renderer.image(standing.observer, standing.since, round(standing.since * p.fps))
     part = np.asarray(cv2.getRectSubPix(image, (PICTURE_PX, PICTURE_PX), (standing.u, standing.v)), np.uint8)
     return np.asarray(cv2.resize(part, (LOOKS_PX, LOOKS_PX), interpolation=cv2.INTER_NEAREST), np.uint8)
+
+
+def _about(result: dict[str, Any]) -> str:
+    return (
+        f"{result['seeds']} flights of {result['seconds']:g} s{' in one world' if result['one_world'] else ''},"
+        f" {result['fps']:g} frames/s, tracker `{result['tracker']}`, second stage `{result['second_stage']}`;"
+        " shares with 95 % intervals over flights."
+    )
+
+
+BENCH = Flights(
+    name="scenery",
+    title="Confirmed tracks among houses, poles and trees",
+    about=_about,
+    seeds=seeds(SEEDS, QUICK_SEEDS),
+    options=(
+        TRACKER,
+        scenarios(SCENARIOS),
+        option("--fps", "of the cameras (default: %(default)g)", type=positive, default=FPS, metavar="F"),
+        SECOND_STAGE,
+        flag("--one-world", "the world of seed 1 in all flights, seen at other times"),
+        PROCESSES,
+    ),
+    rows=_rows,
+    facts=lambda args: dataclasses.asdict(_programme(args)),
+    finish=_plot,
+    columns=(
+        ("", "{name}"),
+        ("minutes", "{minutes:.1f}"),
+        ("standing, per minute", "{standing}, {standing_per_minute:.2f}"),
+        (f"longer than {LONG_S:g} s", "{standing_long}"),
+        ("longest, s", "{standing_longest_s:.1f}"),
+        ("recall, %", "{recall:.2p}"),
+        ("precision, %", "{precision:.2p}"),
+        ("RMSE, px: median, worst", "{rmse_px[p50]:.2f}, {rmse_px[max]:.2f}"),
+        ("identified after, s: median, slowest", "{identified_median_s:.1f}, {identified_slowest_s:.1f}"),
+        ("wrong names, %", "{wrong:.2p}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

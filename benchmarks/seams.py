@@ -14,31 +14,25 @@ second camera is turned by `off` about an axis drawn by chance, of which the tra
 
 from __future__ import annotations
 
-import argparse
 import math
-import multiprocessing
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
+from swarmtrack.benchmarks import harness
+from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, seeds, share
 from swarmtrack.cameras.rig import Rig, RigCamera
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.tracking import AGENT_PARAMETERS, TRACKERS, create_trackers
+from swarmtrack.tracking import AGENT_PARAMETERS, create_trackers
 
-NAME = "seams"
-SEEDS, QUICK_SEEDS = 40, 2
 CAMERA = PinholeCamera(320.0, 320.0, 319.5, 239.5, 640, 480)
 SECONDS, FPS, IMU_HZ = 60.0, 15.0, 200.0
 SIGMA_PX, P_DETECTION, CLUTTER = 1.5, 0.95, 0.5
@@ -242,75 +236,42 @@ def _crossings(
         last = (shown, t)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    add_tracker(parser)
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    seeds = args.seeds or (QUICK_SEEDS if args.quick else SEEDS)
-    publish(args.out, seeds, tracker=args.tracker, processes=args.processes)
-
-
-def publish(out: Path, seeds: int, *, tracker: str = "mbm", processes: int | None = None) -> dict[str, Any]:
-    """Fly everything, write seams.json and .md into `out` after each row, and return what is in the JSON."""
-    assert tracker in TRACKERS
-    rows: list[dict[str, Any]] = []
-    result = {"tracker": tracker, "seeds": seeds, "rows": rows}
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, seeds * len(ROWS)) as advance,
-    ):
-        for row in ROWS:
-            flown = []
-            for flight in pool.imap(partial(fly, row, tracker), range(1, seeds + 1)):
-                flown.append(flight)
-                advance(row.name)
-            rows.append(_summary(row, flown))
-            report.write(out, NAME, result, _markdown(result))
-    return result
-
-
-def _summary(row: Row, flown: list[Flown]) -> dict[str, Any]:
-    crossings, kept = (sum(getattr(each, name) for each in flown) for name in ("crossings", "kept"))
-    late, late_kept = (sum(getattr(each, name) for each in flown) for name in ("late_crossings", "late_kept"))
-    hits, trials = (
-        np.array([getattr(each, name) for each in flown], float) for name in ("kept", "crossings")
-    )
-    share = fraction_interval(hits, trials)
+def summary(flown: Sequence[Flown]) -> dict[str, Any]:
+    """Of one row."""
+    crossings, kept, late, late_kept, doubles, errors, learned = np.array(flown, float).T
+    interval = share(kept, crossings)
     return {
-        "name": row.name,
-        "crossings": crossings,
-        "kept": kept / max(crossings, 1),
-        "interval": [share.low, share.high],
-        "kept_late": late_kept / max(late, 1),
-        "doubles_per_minute": float(np.mean([each.doubles for each in flown])),
-        "turn_error_deg": float(np.median([each.error_deg for each in flown])),
-        "turn_error_p95_deg": float(np.percentile([each.error_deg for each in flown], 95.0)),
-        "learned_from": float(np.median([each.learned_from for each in flown])),
+        "crossings": int(crossings.sum()),
+        "kept": float(kept.sum() / max(crossings.sum(), 1.0)),
+        "interval": [interval["low"], interval["high"]],
+        "kept_late": float(late_kept.sum() / max(late.sum(), 1.0)),
+        "doubles_per_minute": float(np.mean(doubles)),
+        "turn_error_deg": float(np.median(errors)),
+        "turn_error_p95_deg": float(np.percentile(errors, 95.0)),
+        "learned_from": float(np.median(learned)),
     }
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    header = [
-        "", "crossings", "kept, %", "95 %", "kept in the second half, %", "doubles, s per minute", "turn found to, °",
-        "95 % to, °", "from crossings",
-    ]  # fmt: skip
-    rows = [
-        [
-            row["name"],
-            str(row["crossings"]),
-            report.number(100.0 * row["kept"], 2),
-            f"{100.0 * row['interval'][0]:.2f} … {100.0 * row['interval'][1]:.2f}",
-            report.number(100.0 * row["kept_late"], 2),
-            report.number(row["doubles_per_minute"], 2),
-            report.number(row["turn_error_deg"]),
-            report.number(row["turn_error_p95_deg"]),
-            report.number(row["learned_from"], 0),
-        ]
-        for row in result["rows"]
-    ]
-    words = f"`{result['tracker']}`, {result['seeds']} flights of {SECONDS:g} s per row."
-    return "\n\n".join(["# From one camera to the next", words, report.table(header, rows)])
+BENCH = Flights(
+    name="seams",
+    title="From one camera to the next",
+    about=f"`{{tracker}}`, {{seeds}} flights of {SECONDS:g} s per row.",
+    seeds=seeds(40, quick=2),
+    options=(TRACKER, PROCESSES),
+    rows=lambda args: [
+        harness.Row(row.name, partial(fly, row, args.tracker), summary, {"name": row.name}) for row in ROWS
+    ],
+    facts=lambda args: {"tracker": args.tracker, "seeds": args.seeds},
+    columns=(
+        ("", "{name}"),
+        ("crossings", "{crossings}"),
+        ("kept, %", "{kept:.2p}"),
+        ("95 %", "{interval[0]:.2p} … {interval[1]:.2p}"),
+        ("kept in the second half, %", "{kept_late:.2p}"),
+        ("doubles, s per minute", "{doubles_per_minute:.2f}"),
+        ("turn found to, °", "{turn_error_deg:.2f}"),
+        ("95 % to, °", "{turn_error_p95_deg:.2f}"),
+        ("from crossings", "{learned_from:.0f}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

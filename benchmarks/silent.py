@@ -16,18 +16,24 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.arguments import count
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
+from swarmtrack.benchmarks.harness import (
+    PROCESSES,
+    TRACKER,
+    Flights,
+    Row,
+    option,
+    quantile,
+    seeds,
+    share,
+)
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.lab.scenarios.scenario import (
@@ -38,7 +44,6 @@ from swarmtrack.lab.scenarios.scenario import (
     announced_starts,
     fly,
 )
-from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.lab.score.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScorer
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 from swarmtrack.lab.world.sensors import DetectorParameters
@@ -47,8 +52,6 @@ from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.runtime.filed import SOMEWHERE_M
 
-NAME = "silent"
-SEEDS, QUICK_SEEDS = 60, 4
 DRONES = (3, 5, 10)
 OBSERVER = 1
 RANGE_M, AZIMUTH, ELEVATION = (5.0, 20.0), 0.45, 0.2
@@ -178,99 +181,61 @@ class _Judge:
         return Flight(max(last - begins, 0.0), named, len(self._wrong))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Programme:
-    """Which flights."""
-
-    seeds: int = SEEDS
-    drones: Sequence[int] = DRONES
-    tracker: str = "mbm"
-
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--drones", type=count, nargs="+", metavar="N", help="teammates in view (default: 3 5 10)"
-    )
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    p = Programme(
-        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        drones=tuple(args.drones or DRONES),
-        tracker=args.tracker,
-    )
-    publish(args.out, p, processes=args.processes)
-
-
-def publish(out: Path, p: Programme, *, processes: int | None) -> dict[str, Any]:
-    """Fly everything, write silent.json and silent.md into `out`, and return what is in the JSON."""
-    rows = [(n, mode) for mode in MODES for n in p.drones]
-    found = []
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, len(rows) * p.seeds) as advance,
-    ):
-        for n, mode in rows:
-            flights = []
-            for flight in pool.imap(partial(look, n, mode, p.tracker), range(1, p.seeds + 1)):
-                flights.append(flight)
-                advance(f"{mode.words}, {n} drones")
-            found.append({"mode": mode.words, "drones": n, **summary(n, flights)})
-    result = {"tracker": p.tracker, "seeds": p.seeds, "rows": found}
-    report.write(out, NAME, result, _markdown(result))
-    return result
-
-
 def summary(n: int, flights: Sequence[Flight]) -> dict[str, Any]:
-    """Of one row; intervals over flights."""
-    times = np.sort([flight.all_named_s for flight in flights])
-    trials = np.full(len(flights), float(n))
-
-    def share(counts: Sequence[int]) -> dict[str, float]:
-        return fraction_interval(np.array(counts, dtype=float), trials)._asdict()
-
+    """Of one row, with n teammates."""
+    times = [flight.all_named_s for flight in flights]
+    named, wrong = ([getattr(flight, what) for flight in flights] for what in ("named", "wrong"))
+    trials = [n] * len(flights)
     return {
-        "all_named_s": {"p50": _quantile(times, 0.5), "p95": _quantile(times, 0.95)},
-        "named": share([flight.named for flight in flights]),
-        "wrong": share([flight.wrong for flight in flights]),
-        "wrong_names": sum(flight.wrong for flight in flights),
-        "names": n * len(flights),
+        "all_named_s": {"p50": quantile(times, 0.5), "p95": quantile(times, 0.95)},
+        "named": share(named, trials),
+        "wrong": share(wrong, trials),
+        "wrong_names": sum(wrong),
+        "names": sum(trials),
     }
 
 
-def _quantile(times: Array, of: float) -> float:
-    """The time that this share does not exceed."""
-    return float(times[min(math.ceil(of * len(times)), len(times)) - 1])
-
-
-def _markdown(result: dict[str, Any]) -> str:
-    def percent(interval: dict[str, float]) -> str:
-        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
-        return f"{value:.1f} ({low:.1f} … {high:.1f})"
-
-    rows = [
-        [
-            row["mode"],
-            str(row["drones"]),
-            report.number(row["all_named_s"]["p50"], 1),
-            report.number(row["all_named_s"]["p95"], 1),
-            percent(row["named"]),
-            f"{row['wrong_names']} of {row['names']}",
-            percent(row["wrong"]),
-        ]
-        for row in result["rows"]
+def _rows(args: argparse.Namespace) -> list[Row]:
+    return [
+        Row(
+            f"{mode.words}, {n} drones",
+            partial(look, n, mode, args.tracker),
+            partial(summary, n),
+            {"mode": mode.words, "drones": n},
+        )
+        for mode in MODES
+        for n in args.drones
     ]
-    header = ["known", "drones", "all named, s: median", "95 %", "named, %", "wrong", "wrong, %"]
-    return "\n\n".join(
-        [
-            "# Without a word on the air",
-            f"{result['seeds']} flights a row, tracker `{result['tracker']}`, one observer, teammates at "
-            f"{RANGE_M[0]:g} to {RANGE_M[1]:g} m in a wind that moves them by {WIND_M:g} m; 95 % intervals "
-            "over flights.",
-            report.table(header, rows),
-        ]
-    )
+
+
+BENCH = Flights(
+    name="silent",
+    title="Without a word on the air",
+    about="{seeds} flights a row, tracker `{tracker}`, one observer, teammates at "
+    f"{RANGE_M[0]:g} to {RANGE_M[1]:g} m in a wind that moves them by {WIND_M:g} m; 95 % intervals over flights.",
+    seeds=seeds(60, quick=4),
+    options=(
+        TRACKER,
+        option(
+            "--drones",
+            "teammates in view (default: 3 5 10)",
+            type=count,
+            nargs="+",
+            default=DRONES,
+            metavar="N",
+        ),
+        PROCESSES,
+    ),
+    rows=_rows,
+    facts=lambda args: {"tracker": args.tracker, "seeds": args.seeds},
+    columns=(
+        ("known", "{mode}"),
+        ("drones", "{drones}"),
+        ("all named, s: median", "{all_named_s[p50]:.1f}"),
+        ("95 %", "{all_named_s[p95]:.1f}"),
+        ("named, %", "{named:.1p}"),
+        ("wrong", "{wrong_names} of {names}"),
+        ("wrong, %", "{wrong:.1p}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -15,12 +15,11 @@ import argparse
 import asyncio
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds, add_tracker
+from swarmtrack.benchmarks.harness import TRACKER, Benchmark, option, seeds
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.lab.score.swarm_verdict import SwarmReport
 from swarmtrack.lab.swarm.flight import FlightPlan, fly
@@ -31,46 +30,26 @@ MAX_WRONG = 0.001  # of all judged views of a scenario: the claim
 MAX_ALL_KNOWN_S = 5.0  # after the last start: the claim
 
 
+SCENARIOS, DRONES = ("crossing", "occlusion", "fast-yaw"), 4
+SIZED = "thirty"
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Programme:
-    """Which swarms fly, for how long."""
+    """How long the flights of both experiments are, and how large the teams of the second."""
 
-    scenarios: Sequence[str] = ("crossing", "occlusion", "fast-yaw")
-    drones: int = 4
-    seeds: int = 20
     seconds: float = 20.0
-    size_scenario: str = "thirty"
     sizes: Sequence[int] = (3, 10, 30)
     size_seconds: float = 15.0
 
 
-QUICK = Programme(seeds=1, seconds=8.0, sizes=(3, 10), size_seconds=8.0)
+USUAL, QUICK = Programme(), Programme(seconds=8.0, sizes=(3, 10), size_seconds=8.0)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_seeds(parser, Programme().seeds, QUICK.seeds)
-    scenarios = Programme().scenarios
-    parser.add_argument(
-        "--scenarios", nargs="+", choices=scenarios, metavar="NAME",
-        help=f"which of {', '.join(scenarios)}, and no other swarms (default: all, and swarms of many sizes)",
-    )  # fmt: skip
-
-
-def run(args: argparse.Namespace) -> None:
-    programme = QUICK if args.quick else Programme()
-    if args.seeds is not None:
-        programme = replace(programme, seeds=args.seeds)
-    if args.scenarios is not None:
-        programme = replace(programme, scenarios=args.scenarios, sizes=())
-    publish(args.out, programme, tracker=args.tracker)
-
-
-def publish(out: Path, p: Programme, *, tracker: str) -> dict[str, Any]:
-    """Fly everything, write swarm.json and swarm.md into `out`, and return what is in the JSON."""
-    flights = len(p.scenarios) * p.seeds + len(p.sizes)
-    with report.progress("swarms", flights) as advance:
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    p = QUICK if args.quick else USUAL
+    names, sizes = (args.scenarios, ()) if args.scenarios else (SCENARIOS, p.sizes)
+    with report.progress("swarms", len(names) * args.seeds + len(sizes)) as advance:
         lost: list[str] = []
 
         def fly_all(plans: Iterable[FlightPlan]) -> list[SwarmReport]:
@@ -78,24 +57,22 @@ def publish(out: Path, p: Programme, *, tracker: str) -> dict[str, Any]:
 
         recognition = {
             name: fly_all(
-                FlightPlan(name, p.drones, p.seconds, seed, tracker, "oracle")
-                for seed in range(1, p.seeds + 1)
+                FlightPlan(name, DRONES, p.seconds, seed, args.tracker, "oracle")
+                for seed in range(1, args.seeds + 1)
             )
-            for name in p.scenarios
+            for name in names
         }
-        sized = fly_all(FlightPlan(p.size_scenario, n, p.size_seconds, 1, tracker, "oracle") for n in p.sizes)
-        sizes = {one.drones: one for one in sized}
-    result = {
-        "tracker": tracker,
+        sized = fly_all(FlightPlan(SIZED, n, p.size_seconds, 1, args.tracker, "oracle") for n in sizes)
+    return {
+        "tracker": args.tracker,
         "seconds": p.seconds,
+        "seeds": args.seeds,
+        "size_seconds": p.size_seconds,
         "lost": lost,
         "recognition": {name: _recognition(runs) for name, runs in recognition.items()},
-        "sizes": {str(n): _size(one) for n, one in sizes.items()},
-        "runs": [one.as_record() for runs in recognition.values() for one in runs]
-        + [one.as_record() for one in sizes.values()],
+        "sizes": {str(one.drones): _size(one) for one in sized},
+        "runs": [one.as_record() for runs in [*recognition.values(), sized] for one in runs],
     }
-    report.write(out, NAME, result, _markdown(p, result))
-    return result
 
 
 def _fly(plan: FlightPlan, advance: Callable[[str], None], lost: list[str]) -> SwarmReport | None:
@@ -153,64 +130,63 @@ def _size(flight: SwarmReport) -> dict[str, Any]:
     }
 
 
-def _markdown(p: Programme, result: dict[str, Any]) -> str:
+COLUMNS: report.Columns = (
+    ("scenario", "{name}"),
+    ("passed", "{passed} of {runs}"),
+    ("correct", "{correct:.4f}"),
+    ("wrong", "{wrong:.5f}"),
+    ("unknown", "{unknown:.4f}"),
+    ("agreement, worst run", "{worst_run_agreement:.4f}"),
+    ("slowest to identify, s", "{slowest_to_identify_s:.1f}"),
+    ("worst RMSE, px", "{worst_rmse_px:.2f}"),
+    ("switches a run", "{switches_per_run:.1f}"),
+    (f"wrong ≤ {MAX_WRONG:g}", lambda row: report.verdict(row["ok"])),
+)
+SIZE_COLUMNS: report.Columns = (
+    ("drones", "{name}"),
+    ("all announcements known, s after the last start", "{all_known_s:.1f}"),
+    ("bytes of one announcement", "{announcement_bytes}"),
+    ("bytes announced by a drone", "{announced_bytes_per_drone:.0f}"),
+    ("RSS, MB", "{rss_mb:.0f}"),
+    ("CPU, % of a core", "{cpu_percent:.1f}"),
+    ("correct", "{correct:.4f}"),
+    ("wrong", "{wrong:.5f}"),
+    (f"known ≤ {MAX_ALL_KNOWN_S:g} s", lambda row: report.verdict(row["ok"])),
+)
+
+
+def _page(result: dict[str, Any]) -> str:
+    def table(columns: report.Columns, found: dict[str, Any]) -> str:
+        return report.table_of(columns, [{"name": name, **row} for name, row in found.items()])
+
     sizes = [
-        f"Scenario `{p.size_scenario}` with its rates, {p.size_seconds:g} s; means over the agents.",
-        _size_table(result["sizes"]),
+        f"Scenario `{SIZED}` with its rates, {result['size_seconds']:g} s; means over the agents.",
+        table(SIZE_COLUMNS, result["sizes"]),
     ]
-    return "\n\n".join(
-        [
-            "# Local swarms",
-            f"{p.drones} drones, {p.seconds:g} s, {p.seeds} seeds a scenario, `--detector oracle`, tracker"
-            f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
-            _recognition_table(result["recognition"]),
-            *(sizes if p.sizes else []),
-            *(f"Lost: {line}" for line in result["lost"]),
-        ]
+    return report.page(
+        "# Local swarms",
+        f"{DRONES} drones, {result['seconds']:g} s, {result['seeds']} seeds a scenario, `--detector oracle`, tracker"
+        f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
+        table(COLUMNS, result["recognition"]),
+        *(sizes if result["sizes"] else []),
+        *(f"Lost: {line}" for line in result["lost"]),
     )
 
 
-def _recognition_table(by_scenario: dict[str, dict[str, Any]]) -> str:
-    header = [
-        "scenario", "passed", "correct", "wrong", "unknown", "agreement, worst run", "slowest to identify, s",
-        "worst RMSE, px", "switches a run", f"wrong ≤ {MAX_WRONG:g}",
-    ]  # fmt: skip
-    rows = [
-        [
-            name,
-            f"{found['passed']} of {found['runs']}",
-            f"{found['correct']:.4f}",
-            f"{found['wrong']:.5f}",
-            f"{found['unknown']:.4f}",
-            report.number(found["worst_run_agreement"], 4),
-            report.number(found["slowest_to_identify_s"], 1),
-            report.number(found["worst_rmse_px"]),
-            f"{found['switches_per_run']:.1f}",
-            "holds" if found["ok"] else "**fails**",
-        ]
-        for name, found in by_scenario.items()
-    ]
-    return report.table(header, rows)
-
-
-def _size_table(by_size: dict[str, dict[str, Any]]) -> str:
-    header = [
-        "drones", "all announcements known, s after the last start", "bytes of one announcement",
-        "bytes announced by a drone", "RSS, MB", "CPU, % of a core", "correct", "wrong",
-        f"known ≤ {MAX_ALL_KNOWN_S:g} s",
-    ]  # fmt: skip
-    rows = [
-        [
-            n,
-            report.number(found["all_known_s"], 1),
-            str(found["announcement_bytes"]),
-            f"{found['announced_bytes_per_drone']:.0f}",
-            f"{found['rss_mb']:.0f}",
-            f"{found['cpu_percent']:.1f}",
-            f"{found['correct']:.4f}",
-            f"{found['wrong']:.5f}",
-            "holds" if found["ok"] else "**fails**",
-        ]
-        for n, found in by_size.items()
-    ]
-    return report.table(header, rows)
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    _page,
+    options=(
+        TRACKER,
+        seeds(20, quick=1),
+        option(
+            "--scenarios",
+            f"which of {', '.join(SCENARIOS)}, and no other swarms (default: all, and swarms of many sizes)",
+            nargs="+",
+            choices=SCENARIOS,
+            metavar="NAME",
+        ),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

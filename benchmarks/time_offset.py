@@ -17,8 +17,9 @@ from __future__ import annotations
 import argparse
 import math
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_seeds
+from swarmtrack.benchmarks.harness import Benchmark, flown, seeds
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score.intervals import bootstrap_interval, fraction_interval, mean_interval
@@ -40,7 +41,6 @@ from swarmtrack.motion.gyro_bias import GyroBias
 from swarmtrack.motion.time_offset import SURE, CameraClock
 
 NAME = "offset"
-SEEDS, QUICK_SEEDS = 100, 4
 OFFSETS_S = (-0.080, -0.020, 0.0, 0.040, 0.080)
 BEGINS_S = 5.0  # of the world's time: everybody has taken off
 SECONDS = 30.0
@@ -104,6 +104,9 @@ CONDITIONS = {
 }
 
 
+FIRST = next(iter(CONDITIONS))
+
+
 class Sensed(NamedTuple):
     """What one observer's sensors give, stamped right.
 
@@ -132,7 +135,7 @@ class Run(NamedTuple):
     limit_s: float
 
 
-def fly(name: str, seed: int, seconds: float) -> list[Run]:
+def fly(name: str, seconds: float, seed: int) -> list[Run]:
     """All runs of one seed."""
     condition = CONDITIONS[name]
     sensed = _sense(condition, seed, seconds)
@@ -199,21 +202,25 @@ def _play(sensed: Sensed, offset_s: float, seconds: float) -> Run:
     clock, bias = CameraClock(0.0), GyroBias(gyro)
     rates = np.array([sample.gyro for sample in sensed.imu]) @ body_from_camera
     judged = []
-    for kind, index in _arrivals(sensed, seconds):
-        if kind == "imu":
-            x, y, z = rates[index].tolist()
-            gyro.append(sensed.imu[index].t, (x, y, z))
-            bias.settle()
-        elif kind == "pose":
-            pose = sensed.poses[index]
-            bias.see(pose.t, pose.world_from_body @ body_from_camera, pose.attitude_sigma)
-        elif kind == "scan":
-            scan = sensed.scans[index]
-            stamp = scan.t - offset_s
-            exposure = clock.exposure(stamp, gyro)
-            clock.see(stamp, Scan(exposure, camera.undistort(scan.centre)), camera)
-        else:
-            judged.append(_judge(clock, bias, offset_s, sensed.bias))
+    # At one instant the gyro comes first, then poses, then scans.
+    events: list[tuple[float, int, Any]] = [(sample.t, 0, k) for k, sample in enumerate(sensed.imu)]
+    events += [(pose.t, 1, pose) for pose in sensed.poses]
+    events += [(scan.t + LATENCY_S, 2, scan) for scan in sensed.scans]
+    events += [(BEGINS_S + k + 1.0, 3, None) for k in range(int(seconds))]
+    for _, _, what in sorted(events, key=lambda event: event[:2]):
+        match what:
+            case int():
+                x, y, z = rates[what].tolist()
+                gyro.append(sensed.imu[what].t, (x, y, z))
+                bias.settle()
+            case EgoPose():
+                bias.see(what.t, what.world_from_body @ body_from_camera, what.attitude_sigma)
+            case Detections():
+                stamp = what.t - offset_s
+                exposure = clock.exposure(stamp, gyro)
+                clock.see(stamp, Scan(exposure, camera.undistort(what.centre)), camera)
+            case None:
+                judged.append(_judge(clock, bias, offset_s, sensed.bias))
     errors, sigmas, worst, rms, bias_sigmas = np.array(judged).T
     return Run(offset_s, errors, sigmas, worst, rms, bias_sigmas, sensed.limit_s)
 
@@ -226,16 +233,6 @@ def _judge(clock: CameraClock, gyro_bias: GyroBias, offset_s: float, truth: Arra
         return error, sigma, math.nan, math.nan, math.nan
     wrong = bias.bias - truth
     return error, sigma, float(np.abs(wrong).max()), math.sqrt(float(wrong @ wrong) / 3.0), bias.sigma
-
-
-def _arrivals(sensed: Sensed, seconds: float) -> Iterator[tuple[str, int]]:
-    """What arrives, in order of arrival."""
-    events = [(sample.t, 0, "imu", k) for k, sample in enumerate(sensed.imu)]
-    events += [(pose.t, 1, "pose", k) for k, pose in enumerate(sensed.poses)]
-    events += [(scan.t + LATENCY_S, 2, "scan", k) for k, scan in enumerate(sensed.scans)]
-    events += [(BEGINS_S + k + 1.0, 3, "judge", k) for k in range(int(seconds))]
-    for _, _, kind, index in sorted(events):
-        yield kind, index
 
 
 def _one_a_seed(runs: list[Run], seeds: int) -> list[Run]:
@@ -311,118 +308,75 @@ def _rms(values: Array) -> float:
     return math.sqrt(float(np.mean(values**2)))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS))
-
-
-def publish(
-    out: Path,
-    *,
-    seeds: int = 100,
-    seconds: float = SECONDS,
-    names: tuple[str, ...] = (),
-) -> dict[str, Any]:
-    """Fly all, write offset.json, offset.md and offset.png into `out`, and return what is in the JSON."""
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """Fly all; offset.png into `args.out`, too."""
     report.pyplot()  # before the work, not after it, should it be missing
-    names = names or tuple(CONDITIONS)
-    runs: dict[str, list[Run]] = {name: [] for name in names}
-    with report.progress("time offset", seeds * len(names)) as advance:
-        for name in names:
-            for seed in range(seeds):
-                runs[name] += fly(name, seed, seconds)
-                advance(f"{name}, seed {seed}")
-    first = runs[names[0]]
-    ordinary = {
-        f"{1e3 * offset:+.0f} ms": summarise([one for one in first if one.offset_s == offset])
-        for offset in sorted({one.offset_s for one in first})
+    parts = [(name, partial(fly, name, SECONDS)) for name in CONDITIONS]
+    flights = zip(CONDITIONS, flown(NAME, parts, range(args.seeds), processes=1), strict=True)
+    runs = {name: [one for of_seed in many for one in of_seed] for name, many in flights}
+    first = runs[FIRST]
+    _plot(args.out / f"{NAME}.png", runs)
+    return {
+        "seeds": args.seeds,
+        "seconds": SECONDS,
+        "by_offset": {
+            "condition": FIRST,
+            **{
+                f"{1e3 * offset:+.0f} ms": summarise([one for one in first if one.offset_s == offset])
+                for offset in sorted({one.offset_s for one in first})
+            },
+        },
+        "by_condition": {name: summarise(_one_a_seed(many, args.seeds)) for name, many in runs.items()},
     }
-    result = {
-        "seeds": seeds,
-        "seconds": seconds,
-        "by_offset": {"condition": names[0], **ordinary},
-        "by_condition": {name: summarise(_one_a_seed(runs[name], seeds)) for name in names},
-    }
-    report.write(out, NAME, result, _markdown(result))
-    _plot(out / f"{NAME}.png", runs)
-    return result
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    by_offset = {key: value for key, value in result["by_offset"].items() if key != "condition"}
-    header = [
-        "",
-        "runs",
-        "mean error, ms",
-        "RMS, ms",
-        "within 2 ms, %",
-        "σ claimed, ms",
-        "NEES",
-        "σ < 3 ms in, %",
-    ]
-    header += ["after, s", "worst then, ms", "known targets' limit, ms"]
-    bias_header = [
-        "",
-        "RMS, rad/s",
-        "worst axis",
-        "within 0.002 rad/s, %",
-        "σ claimed",
-        "NEES",
-        "σ < 0.001 after, s",
-    ]
-    biases = [
-        [
-            *(name, f"{b['rms_rad_s']:.5f}", f"{b['worst_rad_s']:.5f}", f"{100 * b['within']:.0f}"),
-            *(f"{b['sigma_rad_s']:.5f}", f"{b['nees']:.2f}", report.number(b["seconds_until_sure"], 0)),
-        ]
-        for name, entry in result["by_condition"].items()
-        for b in [entry["bias"]]
-    ]
-    return "\n\n".join(
-        [
-            "# The camera's time offset and the gyro's bias, found in flight",
-            f"After {result['seconds']:g} s of simulated flight, {result['seeds']} seeds; 95 % intervals. NEES: mean"
-            " squared error over claimed variance, 1 where σ is honest, less where it is modest.",
-            f"## Time offset, {result['by_offset']['condition']}",
-            report.table(header, [_row(name, entry) for name, entry in by_offset.items()]),
-            "## Time offset by flight, one of the offsets each",
-            report.table(header, [_row(name, entry) for name, entry in result["by_condition"].items()]),
-            "## Gyro bias",
-            report.table(bias_header, biases),
-        ]
+COLUMNS: report.Columns = (
+    ("", "{name}"),
+    ("runs", "{runs}"),
+    ("mean error, ms", "{error_ms:.2f}"),
+    ("RMS, ms", "{rms_ms:.2f}"),
+    ("within 2 ms, %", "{within_2ms:.0p}"),
+    ("σ claimed, ms", "{sigma_ms:.2f}"),
+    ("NEES", "{nees:.2f}"),
+    ("σ < 3 ms in, %", "{sure:.0p}"),
+    ("after, s", "{seconds_until_sure:.0f}"),
+    ("worst then, ms", "{worst_when_sure_ms:.2f}"),
+    ("known targets' limit, ms", "{limit_ms:.2f}"),
+)
+BIAS_COLUMNS: report.Columns = (
+    ("", "{name}"),
+    ("RMS, rad/s", "{rms_rad_s:.5f}"),
+    ("worst axis", "{worst_rad_s:.5f}"),
+    ("within 0.002 rad/s, %", "{within:.0p}"),
+    ("σ claimed", "{sigma_rad_s:.5f}"),
+    ("NEES", "{nees:.2f}"),
+    ("σ < 0.001 after, s", "{seconds_until_sure:.0f}"),
+)
+# Of a condition in which hardly anything is claimed.
+UNKNOWN = dict.fromkeys(("error_ms", "rms_ms", "within_2ms", "nees", "worst_when_sure_ms"))
+
+
+def _page(result: dict[str, Any]) -> str:
+    by_offset, by_condition = (
+        [{**UNKNOWN, **entry, "name": name} for name, entry in result[by].items() if name != "condition"]
+        for by in ("by_offset", "by_condition")
     )
-
-
-def _row(name: str, entry: dict[str, Any]) -> list[str]:
-    def with_interval(key: str, factor: float = 1.0, digits: int = 2) -> str:
-        if key not in entry:
-            return "–"
-        value, low, high = (factor * entry[key][part] for part in ("value", "low", "high"))
-        return f"{value:.{digits}f} ({low:.{digits}f} … {high:.{digits}f})"
-
-    return [
-        name,
-        str(entry["runs"]),
-        with_interval("error_ms"),
-        with_interval("rms_ms"),
-        with_interval("within_2ms", 100.0, 0),
-        report.number(entry["sigma_ms"]),
-        with_interval("nees"),
-        f"{100 * entry['sure']:.0f}",
-        report.number(entry["seconds_until_sure"], 0),
-        report.number(entry.get("worst_when_sure_ms", math.nan)),
-        report.number(entry["limit_ms"]),
-    ]
+    return report.page(
+        "# The camera's time offset and the gyro's bias, found in flight",
+        f"After {result['seconds']:g} s of simulated flight, {result['seeds']} seeds; 95 % intervals. NEES: mean"
+        " squared error over claimed variance, 1 where σ is honest, less where it is modest.",
+        f"## Time offset, {FIRST}",
+        report.table_of(COLUMNS, by_offset),
+        "## Time offset by flight, one of the offsets each",
+        report.table_of(COLUMNS, by_condition),
+        "## Gyro bias",
+        report.table_of(BIAS_COLUMNS, [{**row["bias"], "name": row["name"]} for row in by_condition]),
+    )
 
 
 def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
     """Each flight's error over time, one flight with its band of two sigmas, and the sigmas claimed."""
-    pyplot = report.pyplot()
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(12.0, 4.5), layout="constrained")
+    figure, (left, right) = report.pyplot().subplots(1, 2, figsize=(12.0, 4.5), layout="constrained")
     name, flights = next(iter(runs.items()))
     t = np.arange(len(flights[0].errors)) + 1.0
     for one in flights[:60]:
@@ -448,5 +402,8 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
     right.axhline(1e3 * SURE, color="0.3", linestyle=":", linewidth=0.8)
     right.set(xlabel="time, s", ylabel="RMS error (dashed: median σ claimed), ms", yscale="log")
     right.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(path, dpi=130)
-    pyplot.close(figure)
+    report.save(figure, path)
+
+
+BENCH = Benchmark(NAME, _measured, _page, options=(seeds(100, quick=4),))
+add_arguments, run = BENCH.add_arguments, BENCH.run

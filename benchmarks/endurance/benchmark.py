@@ -24,13 +24,12 @@ from typing import Any
 
 from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_tracker
 from swarmtrack.benchmarks.endurance import flight, verdict
 from swarmtrack.benchmarks.endurance.plot import draw
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, Claim, Window
+from swarmtrack.benchmarks.harness import TRACKER, Benchmark, amount
 
 NAME = "endurance"
-MINUTES, QUICK_MINUTES = 30.0, 0.5
 WINDOW_S, MIN_WINDOWS = 10.0, 10  # a window is shorter where the flight would not have so many
 DRONES = 3
 AFTER_S = 2.0  # that the swarm flies longer than is measured: nobody is measured while it ends
@@ -51,44 +50,15 @@ class Found:
         return verdict.judged(self.windows, self.settled_s)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    parser.add_argument(
-        "--minutes",
-        type=positive,
-        metavar="M",
-        help=f"of flight (default: {MINUTES:g}; with --quick {QUICK_MINUTES:g})",
-    )
-
-
-def run(args: argparse.Namespace) -> None:
-    usual = QUICK_MINUTES if args.quick else MINUTES
-    publish(args.out, minutes=args.minutes or usual, tracker=args.tracker)
-
-
-def publish(out: Path, *, minutes: float, tracker: str) -> dict[str, Any]:
-    """Fly, write endurance.json, endurance.md and endurance.png into `out`, and return what is in the JSON."""
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """Fly; endurance.png into `args.out`, too."""
     report.pyplot()  # now, not when half an hour of results cannot be drawn
-    seconds = 60.0 * minutes
+    seconds = 60.0 * args.minutes
     window_s = min(WINDOW_S, seconds / MIN_WINDOWS)
     with report.progress(NAME, round(seconds / window_s)) as advance:
-        found = asyncio.run(_fly(out, seconds, window_s, tracker, _teller(advance)))
-    claims = verdict.judge(found.judged)
-    result = {
-        "seconds": seconds,
-        "window_s": window_s,
-        "settled_s": found.settled_s,
-        "tracker": tracker,
-        "ok": bool(claims) and all(claim.ok for claim in claims),
-        "claims": [claim._asdict() for claim in claims],
-        "recorded_mb": found.recorded_mb,
-        "sim": found.flown,
-        "windows": [_record(window) for window in found.windows],
-    }
-    draw(out / f"{NAME}.png", found.windows, found.settled_s)
-    report.write(out, NAME, result, _markdown(found, claims, seconds, window_s, tracker))
-    return result
+        found = asyncio.run(_fly(args.out, seconds, window_s, args.tracker, _teller(advance)))
+    draw(args.out / f"{NAME}.png", found.windows, found.settled_s)
+    return {"seconds": seconds, "window_s": window_s, "tracker": args.tracker, "found": found}
 
 
 async def _fly(
@@ -118,7 +88,21 @@ def _teller(advance: Callable[[str], None]) -> Callable[[Window], None]:
     return tell
 
 
-def _record(window: Window) -> dict[str, Any]:
+def _record(measured: dict[str, Any]) -> dict[str, Any]:
+    found: Found = measured["found"]
+    claims = verdict.judge(found.judged)
+    return {
+        **{name: value for name, value in measured.items() if name != "found"},
+        "settled_s": found.settled_s,
+        "ok": bool(claims) and all(claim.ok for claim in claims),
+        "claims": [claim._asdict() for claim in claims],
+        "recorded_mb": found.recorded_mb,
+        "sim": found.flown,
+        "windows": [_window(window) for window in found.windows],
+    }
+
+
+def _window(window: Window) -> dict[str, Any]:
     return {
         "t_s": window.t_s,
         "seconds": window.seconds,
@@ -133,38 +117,63 @@ def _record(window: Window) -> dict[str, Any]:
 # --- for people --------------------------------------------------------------------------------------
 
 
-def _markdown(found: Found, claims: Sequence[Claim], seconds: float, window_s: float, tracker: str) -> str:
+CLAIM_COLUMNS: report.Columns = (
+    ("what", "{what}"),
+    ("who", "{who}"),
+    ("found", lambda claim: f"{report.number(claim.found, 1 if claim.unit else 0)}{_unit(claim)}"),
+    ("at most", lambda claim: f"{claim.limit:g}{_unit(claim)}"),
+    ("", lambda claim: report.verdict(claim.ok)),
+)
+PROCESS_COLUMNS: report.Columns = (
+    ("process", "{name}"),
+    ("memory settled → end, MB", "{sizes[0]:.1f} → {sizes[1]:.1f}"),
+    ("grown", "{grown:+.1p} %"),
+    ("CPU, % of a core: mean", "{cpu:.1f}"),
+    ("busiest window", "{busiest:.1f}"),
+)
+AGENT_COLUMNS: report.Columns = (
+    ("agent", "{name}"),
+    *((f"{name if name != 'imu' else 'IMU'}, Hz", f"{{{name}:.1f}}") for name in verdict.RATES),
+    ("IMU samples", "{imu_samples}"),
+    ("expected by the rate", "{imu_expected:.0f}"),
+    ("lost", "{imu_lost}"),
+    ("gaps", "{imu_gaps}"),
+    ("lag: median of p95, ms", "{lag_p95_s:.1m}"),
+    ("largest, ms", "{lag_max_s:.1m}"),
+    ("frames dropped", "{frames_dropped}"),
+    ("recorded", "{recorded}"),
+    ("not recorded", "{unrecorded}"),
+)
+
+
+def _unit(claim: Claim) -> str:
+    return f" {claim.unit}" if claim.unit else ""
+
+
+def _page(measured: dict[str, Any]) -> str:
+    found: Found = measured["found"]
     windows = found.judged
+    claims = verdict.judge(windows)
     broken = [claim for claim in claims if not claim.ok]
     sim = "passed" if found.flown["passed"] else f"failed ({'; '.join(found.flown['shortfalls'])})"
-    return "\n\n".join(
-        [
-            "# Endurance",
-            f"{DRONES} drones of `{flight.SCENARIO}`, `--detector oracle`, tracker `{tracker}`, monitor with one"
-            f" viewer, recording; {seconds / 60.0:g} min in windows of {window_s:g} s, judged from"
-            f" {found.settled_s:g} s on.",
-            f"**{_sentence(claims, broken)}**",
-            report.table(["what", "who", "found", "at most", ""], [_claim(claim) for claim in _worst(claims, broken)]),
-            "Of each process, over the judged time:",
-            report.table(
-                ["process", "memory settled → end, MB", "grown", "CPU, % of a core: mean", "busiest window"],
-                [_process(windows, name) for name in verdict.processes(windows)],
-            ),
-            f"`{JUDGE}` is `swarmtrack sim` itself, which keeps what it heard until it has judged it."
-            f" Whatever else ran on the machine took {_mean([w.elsewhere_percent for w in windows]):.0f} % of a core.",
-            "Of each agent, over the judged time; lag is of the event loop, looked at twenty times a second:",
-            report.table(
-                [
-                    "agent", "tracks, Hz", "detections, Hz", "IMU, Hz", "IMU samples", "expected by the rate", "lost",
-                    "gaps", "lag: median of p95, ms", "largest, ms", "frames dropped", "recorded", "not recorded",
-                ],
-                [_agent(windows, drone_id) for drone_id in sorted({i for w in windows for i in w.agents})],
-            ),
-            _viewer(windows),
-            f"Recording: {found.recorded_mb:.0f} MB. Verdict of `swarmtrack sim`: {sim}.",
-            f"![memory, lag and rates over time]({NAME}.png)",
-        ]
-    )  # fmt: skip
+    agents = sorted({drone_id for window in windows for drone_id in window.agents})
+    return report.page(
+        "# Endurance",
+        f"{DRONES} drones of `{flight.SCENARIO}`, `--detector oracle`, tracker `{measured['tracker']}`, monitor with"
+        f" one viewer, recording; {measured['seconds'] / 60.0:g} min in windows of {measured['window_s']:g} s, judged"
+        f" from {found.settled_s:g} s on.",
+        f"**{_sentence(claims, broken)}**",
+        report.table_of(CLAIM_COLUMNS, _worst(claims, broken)),
+        "Of each process, over the judged time:",
+        report.table_of(PROCESS_COLUMNS, [_process(windows, name) for name in verdict.processes(windows)]),
+        f"`{JUDGE}` is `swarmtrack sim` itself, which keeps what it heard until it has judged it."
+        f" Whatever else ran on the machine took {_mean([w.elsewhere_percent for w in windows]):.0f} % of a core.",
+        "Of each agent, over the judged time; lag is of the event loop, looked at twenty times a second:",
+        report.table_of(AGENT_COLUMNS, [_agent(windows, drone_id) for drone_id in agents]),
+        _viewer(windows),
+        f"Recording: {found.recorded_mb:.0f} MB. Verdict of `swarmtrack sim`: {sim}.",
+        f"![memory, lag and rates over time]({NAME}.png)",
+    )
 
 
 def _sentence(claims: Sequence[Claim], broken: Sequence[Claim]) -> str:
@@ -182,45 +191,31 @@ def _worst(claims: Sequence[Claim], broken: Sequence[Claim]) -> list[Claim]:
     return [claim for claim in claims if claim in nearest or claim in broken]
 
 
-def _claim(claim: Claim) -> list[str]:
-    unit = f" {claim.unit}" if claim.unit else ""
-    return [
-        claim.what,
-        claim.who,
-        f"{report.number(claim.found, 1 if claim.unit else 0)}{unit}",
-        f"{claim.limit:g}{unit}",
-        "holds" if claim.ok else "**fails**",
-    ]
-
-
-def _process(windows: Sequence[Window], name: str) -> list[str]:
+def _process(windows: Sequence[Window], name: str) -> dict[str, Any]:
     sizes = [window.rss_mb[name] for window in windows]
     cpu = [window.cpu_percent[name] for window in windows]
-    return [
-        name,
-        f"{sizes[0]:.1f} → {sizes[-1]:.1f}",
-        f"{100.0 * verdict.growth(windows, name):+.1f} %",
-        f"{_mean(cpu):.1f}",
-        f"{max(cpu):.1f}",
-    ]
+    grown = verdict.growth(windows, name)
+    return {
+        "name": name,
+        "sizes": (sizes[0], sizes[-1]),
+        "grown": grown,
+        "cpu": _mean(cpu),
+        "busiest": max(cpu),
+    }
 
 
-def _agent(windows: Sequence[Window], drone_id: int) -> list[str]:
+def _agent(windows: Sequence[Window], drone_id: int) -> dict[str, Any]:
     agents = [window.agents[drone_id] for window in windows if drone_id in window.agents]
-    lags = sorted(agent.lag_p95_s for agent in agents)
-    return [
-        f"drone {drone_id}",
-        *(report.number(_mean([agent.rates_hz[name] for agent in agents]), 1) for name in verdict.RATES),
-        str(sum(agent.imu_samples for agent in agents)),
-        report.number(sum(agent.imu_expected for agent in agents), 0),
-        str(sum(agent.imu_lost for agent in agents)),
-        str(sum(agent.imu_gaps for agent in agents)),
-        report.number(1e3 * lags[len(lags) // 2], 1),
-        report.number(1e3 * max(agent.lag_max_s for agent in agents), 1),
-        str(sum(agent.frames_dropped for agent in agents)),
-        str(sum(agent.recorded for agent in agents)),
-        str(sum(agent.unrecorded for agent in agents)),
-    ]
+    counted = (
+        "imu_samples", "imu_expected", "imu_lost", "imu_gaps", "frames_dropped", "recorded", "unrecorded"
+    )  # fmt: skip
+    return {
+        "name": f"drone {drone_id}",
+        **{name: _mean([agent.rates_hz[name] for agent in agents]) for name in verdict.RATES},
+        **{name: sum(getattr(agent, name) for agent in agents) for name in counted},
+        "lag_p95_s": sorted(agent.lag_p95_s for agent in agents)[len(agents) // 2],
+        "lag_max_s": max(agent.lag_max_s for agent in agents),
+    }
 
 
 def _viewer(windows: Sequence[Window]) -> str:
@@ -236,3 +231,13 @@ def _viewer(windows: Sequence[Window]) -> str:
 
 def _mean(values: Sequence[float]) -> float:
     return sum(values) / len(values) if values else math.nan
+
+
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    _page,
+    options=(TRACKER, amount("--minutes", 30.0, 0.5, "of flight", type=positive, metavar="M")),
+    record=_record,
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -24,8 +24,7 @@ from typing import Any
 import aiohttp
 
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, AgentWindow, ViewerWindow, Window
-from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
-from swarmtrack.benchmarks.real_clips import agent_environment
+from swarmtrack.benchmarks.processes import agent_environment, cpu_seconds, rss_mb
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.clock import SystemClock
 from swarmtrack.recording.reader import FLIGHT_PLAN, recordings_below

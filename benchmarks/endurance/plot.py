@@ -13,14 +13,8 @@ from swarmtrack.benchmarks.endurance import verdict
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, MAX_GROWTH, MAX_LAG_S, MAX_UNSTEADY, RATES, Window
 
 DPI = 140
-COLOURS = (
-    "#0072b2",
-    "#e69f00",
-    "#009e73",
-    "#cc79a7",
-    "#d55e00",
-    "0.55",
-)  # of processes in turn; colour-blind safe
+# Of processes in turn; colour-blind safe.
+COLOURS = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#d55e00", "0.55")
 STYLES = dict(zip(RATES, ("-", "--", ":"), strict=True))
 
 
@@ -53,8 +47,7 @@ def draw(file: Path, windows: Sequence[Window], settled_s: float) -> None:
         panel.title.set_fontsize("medium")
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize="small", frameon=False)
     panels[0].set_xlim(0.0, minutes[-1] if len(minutes) else 1.0)
-    figure.savefig(file, dpi=DPI)
-    report.pyplot().close(figure)
+    report.save(figure, file, DPI)
 
 
 def _memory(

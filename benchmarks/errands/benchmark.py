@@ -24,27 +24,35 @@ from __future__ import annotations
 
 import argparse
 import math
-import multiprocessing
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swarmtrack.arguments import add_flag, count
+from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds, add_tracker
 from swarmtrack.benchmarks.errands.judge import SIGMAS, FlightJudge, FlightRecord
+from swarmtrack.benchmarks.harness import (
+    PROCESSES,
+    TRACKER,
+    Benchmark,
+    flag,
+    flown,
+    option,
+    quantile,
+    seeds,
+    share,
+    shares,
+)
 from swarmtrack.benchmarks.virtual_swarm import Eyes, VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
-from swarmtrack.lab.score.intervals import Interval, fraction_interval
-from swarmtrack.messages import Array
 
 NAME = "errand"
-SEEDS, QUICK_SEEDS = 100, 4
+SEEDS = 100
 DRONES = (2, 3, 4)
 LATEST_S = 0.080  # of a camera's stamps
 FPS = (6.0, 15.0)
@@ -98,56 +106,23 @@ def _eyes(scenario: Scenario) -> Eyes:
     return rendered_eyes(scenario)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    parser.add_argument(
-        "--drones", type=count, nargs="+", metavar="N", help="in turn (default: 2 3 4, or 2 3 where rendered)"
-    )
-    add_flag(parser, "--no-ghosts", "a detector that takes nothing for a drone twice")
-    add_flag(
-        parser, "--rendered", "drawn pictures and the shipped detector; no ghosts but houses, poles and trees"
-    )
-    add_processes(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    programme = Programme(
-        seeds=args.seeds or (QUICK_SEEDS if args.quick else SEEDS),
-        drones=tuple(args.drones or (RENDERED_DRONES if args.rendered else DRONES)),
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """Fly everything; errand.png into `args.out`, too."""
+    report.pyplot()  # before the work, not after it, should it be missing
+    drones = tuple(args.drones or (RENDERED_DRONES if args.rendered else DRONES))
+    p = Programme(
+        seeds=args.seeds,
+        drones=drones,
         ghosts=not args.no_ghosts,
         rendered=args.rendered,
         tracker=args.tracker,
     )
-    publish(args.out, programme, processes=args.processes)
-
-
-def publish(out: Path, p: Programme, *, processes: int | None = None) -> dict[str, Any]:
-    """Fly everything, write errand.json, errand.md and errand.png into `out`."""
-    plt = report.pyplot()
-    seeds = range(1, p.seeds + 1)
-    twins = twins_of(p)
-    found: dict[bool, list[FlightRecord]] = {False: [], True: []}
-    with (
-        multiprocessing.get_context("spawn").Pool(processes) as pool,
-        report.progress(NAME, len(seeds) + len(twins)) as advance,
-    ):
-        for told, flown in ((False, seeds), (True, twins)):
-            for flight in pool.imap(partial(fly, p, told), flown):
-                found[told].append(flight)
-                advance(f"seed {flight.seed}")
-    result = {
-        "seeds": p.seeds,
-        "drones": p.drones,
-        "ghosts": p.ghosts,
-        "rendered": p.rendered,
-        "tracker": p.tracker,
-        **summary(found[False], found[True]),
-    }
-    report.write(out, NAME, result, _markdown(result))
-    _plot(plt, out / f"{NAME}.png", found[False])
-    return result
+    found: list[list[FlightRecord]] = []
+    for told, numbers in ((False, range(1, p.seeds + 1)), (True, twins_of(p))):
+        words = "clocks told" if told else "clocks to be found"
+        found += flown(NAME, [(words, partial(fly, p, told))], numbers, processes=args.processes)
+    _plot(args.out / f"{NAME}.png", found[0])
+    return {**asdict(p), **summary(*found)}
 
 
 def twins_of(p: Programme) -> range:
@@ -160,34 +135,34 @@ def summary(flights: Sequence[FlightRecord], twins: Sequence[FlightRecord]) -> d
     clocks = [list(flight.clocks.values()) for flight in flights]
     every = [clock for of_flight in clocks for clock in of_flight]
     adopted = [a for clock in every for a in clock.adopted]
-    off = _share([[a.off for c in of for a in c.adopted] for of in clocks])
+    off = [[a.off for clock in of_flight for a in clock.adopted] for of_flight in clocks]
     after = [clock.found_after_s for clock in every]
-    wrong = [flight.score.wrong * flight.score.samples for flight in flights]
-    again = sorted(s for flight in flights for s in flight.named_again_s)
+    again = [s for flight in flights for s in flight.named_again_s]
     nis = np.array([value for flight in flights for value in flight.nis])
-    surest = [flight.score.wrong_max_probability for flight in flights]
-    named = [flight.score for flight in flights]
-    samples = np.array([score.samples for score in named], dtype=float)
+    scores = [flight.score for flight in flights]
+    samples, names = [score.samples for score in scores], [flight.names for flight in flights]
     return {
         "offset": {
             "adopted": len(adopted),
-            "off_by_3_sigma": off._asdict(),
+            "off_by_3_sigma": share(
+                [sum(of_flight) for of_flight in off], [len(of_flight) for of_flight in off]
+            ),
             "largest_error_ms": 1e3 * max((abs(a.error_s) for a in adopted), default=math.nan),
             "rms_error_ms": 1e3 * _root([a.error_s**2 for a in adopted]),
             "never_adopted": sum(not clock.adopted for clock in every) / len(every),
             "found_within_30_s": float(np.mean([s <= IN_TIME_S for s in after])),
-            "found_after_s": {"p50": _quantile(after, 0.5), "p90": _quantile(after, 0.9)},
+            "found_after_s": {"p50": quantile(after, 0.5), "p90": quantile(after, 0.9)},
         },
         "turning": _ratios(flights, twins),
         "names": {
-            "right": float(np.nansum([score.correct * score.samples for score in named]) / samples.sum()),
-            "wrong": fraction_interval(np.nan_to_num(np.array(wrong)), samples)._asdict(),
-            "elsewhere": _of_names(flights, [f.names_elsewhere for f in flights]),
-            "on_others": _of_names(flights, [f.names_on_others for f in flights]),
+            "right": float(np.nansum([score.correct * score.samples for score in scores]) / sum(samples)),
+            **shares(scores, "wrong"),
+            "elsewhere": share([flight.names_elsewhere for flight in flights], names),
+            "on_others": share([flight.names_on_others for flight in flights], names),
             "on_others_max_probability": float(
-                np.fmax.reduce(np.array([flight.surest_on_others for flight in flights]))
+                np.fmax.reduce([flight.surest_on_others for flight in flights])
             ),
-            "wrong_max_probability": float(np.fmax.reduce(np.array(surest))),
+            "wrong_max_probability": float(np.fmax.reduce([score.wrong_max_probability for score in scores])),
             # Also those with a name on a thing while its drone is behind: to be flown again by themselves.
             "seeds_with_a_wrong_name": [
                 f.seed for f in flights if not math.isnan(f.score.wrong_max_probability)
@@ -196,14 +171,14 @@ def summary(flights: Sequence[FlightRecord], twins: Sequence[FlightRecord]) -> d
         },
         "named_again": {
             "times": len(again),
-            "p50_s": _quantile(again, 0.5),
-            "p95_s": _quantile(again, 0.95),
+            "p50_s": quantile(again, 0.5),
+            "p95_s": quantile(again, 0.95),
             "never": sum(math.isinf(s) for s in again),
         },
         "nis": {
-            "p5": _quantile(nis, 0.05),
-            "p50": _quantile(nis, 0.5),
-            "p95": _quantile(nis, 0.95),
+            "p5": quantile(nis, 0.05),
+            "p50": quantile(nis, 0.5),
+            "p95": quantile(nis, 0.95),
             "within_0.7_to_1.4": float(np.mean((nis > 0.7) & (nis < 1.4))),
         },
     }
@@ -228,105 +203,62 @@ def _ratios(flights: Sequence[FlightRecord], twins: Sequence[FlightRecord]) -> d
     return found
 
 
-def _share(groups: Sequence[Sequence[bool]]) -> Interval:
-    hits = np.array([sum(group) for group in groups], dtype=float)
-    return fraction_interval(hits, np.array([len(group) for group in groups], dtype=float))
-
-
 def _root(squares: Sequence[float]) -> float:
     return math.sqrt(float(np.mean(squares))) if len(squares) else math.nan
 
 
-def _quantile(values: Sequence[float] | Array, of: float) -> float:
-    """The value that this share does not exceed; may be infinite."""
-    if not len(values):
-        return math.nan
-    return float(np.sort(np.asarray(values, dtype=float))[min(math.ceil(of * len(values)), len(values)) - 1])
+# What was found, and what is to hold.
+ROWS: tuple[tuple[str, str, str], ...] = (
+    ("adopted offsets further off than 3 of their own σ", "{offset[off_by_3_sigma]:.2p%}", "≤ 1 %"),
+    ("largest error of an adopted offset, ms", "{offset[largest_error_ms]:.1f}", "≤ 15"),
+    ("root mean square of them, ms", "{offset[rms_error_ms]:.2f}", ""),
+    ("clocks that adopted nothing", "{offset[never_adopted]:.0p} %", ""),
+    ("right to 3 ms within 30 s of the first turns, to the end", "{offset[found_within_30_s]:.0p} %", ""),
+    ("seconds until then, median", "{offset[found_after_s][p50]:.1f}", "30"),
+    ("turning, px: found, told", "{turning[turning][found_px]:.2f}, {turning[turning][told_px]:.2f}", ""),
+    (
+        "turning, ratio once found, over all",
+        "{turning[turning][ratio]:.2f}, {turning[turning][whole_ratio]:.2f}",
+        "≤ 1.5",
+    ),
+    ("calm, ratio once found", "{turning[calm][ratio]:.2f}", ""),
+    ("right names", "{names[right]:.1p} %", ""),
+    ("wrong names", "{names[wrong]:.3p%}", "≤ 0.1 %"),
+    ("names more than 35 px from their drone", "{names[elsewhere]:.3p%}", ""),
+    ("of these on something that is detected", "{names[on_others]:.3p%}", ""),
+    ("highest probability of one of these", "{names[on_others_max_probability]:.4f}", ""),
+    ("highest probability of a wrong name", "{names[wrong_max_probability]:.4f}", ""),
+    ("seeds with a wrong name", "{seeds}", ""),
+    ("announcements of a drone", "{names[announcements_per_drone]:.1f}", ""),
+    ("named again after, s: median", "{named_again[p50_s]:.2f}", "≤ 0.5"),
+    ("named again after, s: p95", "{named_again[p95_s]:.2f}", "≤ 1.5"),
+    ("came back, never named again", "{named_again[times]}, {named_again[never]}", ""),
+    (
+        "NIS over its expectation: p5, median, p95",
+        "{nis[p5]:.2f}, {nis[p50]:.2f}, {nis[p95]:.2f}",
+        "0.7 … 1.4",
+    ),
+)
 
 
-def _of_names(flights: Sequence[FlightRecord], counts: Sequence[int]) -> dict[str, float]:
-    names = np.array([float(flight.names) for flight in flights])
-    return fraction_interval(np.array(counts, dtype=float), names)._asdict()
-
-
-def _rows(result: dict[str, Any]) -> list[list[str]]:
-    """What was found, and what is to hold."""
-    offset, turning, names = result["offset"], result["turning"], result["names"]
-    again, nis = result["named_again"], result["nis"]
-
-    def percent(interval: dict[str, float], digits: int = 2) -> str:
-        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
-        return f"{value:.{digits}f} % ({low:.{digits}f} … {high:.{digits}f})"
-
-    number = report.number
-    return [
-        ["adopted offsets further off than 3 of their own σ", percent(offset["off_by_3_sigma"]), "≤ 1 %"],
-        ["largest error of an adopted offset, ms", number(offset["largest_error_ms"], 1), "≤ 15"],
-        ["root mean square of them, ms", number(offset["rms_error_ms"], 2), ""],
-        ["clocks that adopted nothing", f"{100 * offset['never_adopted']:.0f} %", ""],
-        [
-            "right to 3 ms within 30 s of the first turns, to the end",
-            f"{100 * offset['found_within_30_s']:.0f} %",
-            "",
-        ],
-        ["seconds until then, median", number(offset["found_after_s"]["p50"], 1), "30"],
-        *_turning_rows(turning),
-        ["right names", f"{100 * names['right']:.1f} %", ""],
-        ["wrong names", percent(names["wrong"], 3), "≤ 0.1 %"],
-        ["names more than 35 px from their drone", percent(names["elsewhere"], 3), ""],
-        ["of these on something that is detected", percent(names["on_others"], 3), ""],
-        ["highest probability of one of these", number(names["on_others_max_probability"], 4), ""],
-        ["highest probability of a wrong name", number(names["wrong_max_probability"], 4), ""],
-        ["seeds with a wrong name", ", ".join(map(str, names["seeds_with_a_wrong_name"])) or "none", ""],
-        ["announcements of a drone", number(names["announcements_per_drone"], 1), ""],
-        ["named again after, s: median", number(again["p50_s"]), "≤ 0.5"],
-        ["named again after, s: p95", number(again["p95_s"]), "≤ 1.5"],
-        ["came back, never named again", f"{again['times']}, {again['never']}", ""],
-        [
-            "NIS over its expectation: p5, median, p95",
-            f"{number(nis['p5'])}, {number(nis['p50'])}, {number(nis['p95'])}",
-            "0.7 … 1.4",
-        ],
-    ]
-
-
-def _turning_rows(turning: dict[str, Any]) -> list[list[str]]:
-    """None where no flight has a twin to be compared with."""
-    if not turning["flights"]:
-        return []
-    number = report.number
-    return [
-        [
-            "turning, px: found, told",
-            f"{number(turning['turning']['found_px'])}, {number(turning['turning']['told_px'])}",
-            "",
-        ],
-        [
-            "turning, ratio once found, over all",
-            f"{number(turning['turning']['ratio'])}, {number(turning['turning']['whole_ratio'])}",
-            "≤ 1.5",
-        ],
-        ["calm, ratio once found", number(turning["calm"]["ratio"]), ""],
-    ]
-
-
-def _markdown(result: dict[str, Any]) -> str:
+def _page(result: dict[str, Any]) -> str:
     ghosts = "oracle, with ghosts" if result["ghosts"] else "oracle, without ghosts"
     seen = "drawn pictures, shipped detector" if result["rendered"] else ghosts
-    drones = ", ".join(map(str, result["drones"]))
-    return "\n\n".join(
-        [
-            "# Errands over many flights",
-            f"{result['seeds']} flights, teams of {drones} drones, {seen}, tracker `{result['tracker']}`; cameras that "
-            "stamp late by −80 … 80 ms. 95 % intervals over flights.",
-            report.table(["", "found", "to hold"], _rows(result)),
-        ]
+    wrong = ", ".join(map(str, result["names"]["seeds_with_a_wrong_name"])) or "none"
+    # None of turning where no flight has a twin to be compared with.
+    shown = [row for row in ROWS if result["turning"]["flights"] or "turning[" not in row[1]]
+    cells = [[what, report.filled(found, {**result, "seeds": wrong}), hold] for what, found, hold in shown]
+    return report.page(
+        "# Errands over many flights",
+        f"{result['seeds']} flights, teams of {', '.join(map(str, result['drones']))} drones, {seen}, tracker "
+        f"`{result['tracker']}`; cameras that stamp late by −80 … 80 ms. 95 % intervals over flights.",
+        report.table(["", "found", "to hold"], cells),
     )
 
 
-def _plot(plt: Any, path: Path, flights: Sequence[FlightRecord]) -> None:
+def _plot(path: Path, flights: Sequence[FlightRecord]) -> None:
     """Errors of adopted offsets against their own sigma, and how soon names and offsets come."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
+    figure, (left, right) = report.pyplot().subplots(1, 2, figsize=(10, 4), layout="constrained")
     adopted = [a for flight in flights for clock in flight.clocks.values() for a in clock.adopted]
     sigmas, errors = 1e3 * np.array([(a.sigma_s, a.error_s) for a in adopted]).reshape(-1, 2).T
     left.plot(sigmas, errors, ".", markersize=3)
@@ -342,5 +274,22 @@ def _plot(plt: Any, path: Path, flights: Sequence[FlightRecord]) -> None:
         right.step(values, np.arange(1, len(values) + 1) / max(len(values), 1), where="post", label=label)
     right.set(xlim=(0.0, 40.0), ylim=(0.0, 1.02), xlabel="s", ylabel="share", title="how soon")
     right.legend(loc="lower right", fontsize=8)
-    figure.savefig(path, dpi=130)
-    plt.close(figure)
+    report.save(figure, path)
+
+
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    _page,
+    options=(
+        TRACKER,
+        seeds(SEEDS, quick=4),
+        option(
+            "--drones", "in turn (default: 2 3 4, or 2 3 where rendered)", type=count, nargs="+", metavar="N"
+        ),
+        flag("--no-ghosts", "a detector that takes nothing for a drone twice"),
+        flag("--rendered", "drawn pictures and the shipped detector; no ghosts but houses, poles and trees"),
+        PROCESSES,
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -11,17 +11,14 @@ from __future__ import annotations
 
 import argparse
 import math
-import os
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_processes, add_seeds
 from swarmtrack.benchmarks.formation.faults import Failure, Fault
 from swarmtrack.benchmarks.formation.flights import (
     COMMAND_HZ,
@@ -31,7 +28,8 @@ from swarmtrack.benchmarks.formation.flights import (
     FlightPlan,
     FormationFlight,
 )
-from swarmtrack.benchmarks.formation.meetings import Meeting, meet, meetings_row
+from swarmtrack.benchmarks.formation.meetings import meet, meetings_row
+from swarmtrack.benchmarks.harness import PROCESSES, Benchmark, flown, option, seeds
 from swarmtrack.formation.setpoint import Why
 from swarmtrack.lab.score.formation_score import (
     LOST_M,
@@ -46,7 +44,6 @@ from swarmtrack.lab.score.formation_score import (
 NAME = "formation"
 # Of the law alone, without pictures (`meetings.py`).
 MEETINGS = "meetings"
-SEEDS, QUICK_SEEDS = 100, 2
 # s that an intruder is in view before it counts.
 SEEN_S = 1.0
 GONE_S, GONE_ENDS_S = 22.0, 32.0
@@ -73,6 +70,17 @@ FAULTS = (
 )
 # Which fault is to be found, and as what.
 WATCHED = {Fault.HEIGHT_DRIFT: Why.HEIGHT_DOUBT, Fault.PUSHED: Why.DIVERGES}
+
+
+def _hovering(name: str, ends_s: float, **more: Any) -> FlightPlan:
+    """The leader stays where it is."""
+    return FlightPlan(name=name, speed_m_s=0.0, ends_s=ends_s, **more)
+
+
+def _failing(name: str, failure: Failure, **more: Any) -> FlightPlan:
+    return FlightPlan(name=name, failure=failure, ends_s=FAILED_ENDS_S, **more)
+
+
 FLIGHTS = {
     plan.name: plan
     for plan in (
@@ -84,40 +92,14 @@ FLIGHTS = {
         FlightPlan(name="star-5-late", drones=5, latency_s=0.3),
         FlightPlan(name="star-5-flat", drones=5, layer_m=0.0),
         FlightPlan(name="leader-lost", drones=4, gone_s=GONE_S, ends_s=GONE_ENDS_S),
-        FlightPlan(
-            name="intruder-1", drones=3, speed_m_s=0.0, intruder_m_s=1.0, ends_s=INTRUDED_ENDS_S + 8.0
-        ),
-        FlightPlan(name="intruder-2", drones=3, speed_m_s=0.0, intruder_m_s=2.0, ends_s=INTRUDED_ENDS_S),
-        *(
-            FlightPlan(
-                name=f"homing-{speed}",
-                drones=3,
-                speed_m_s=0.0,
-                intruder_m_s=speed,
-                homes=True,
-                ends_s=HOMED_ENDS_S,
-            )
-            for speed in HOMING_M_S
-        ),
-        *(
-            FlightPlan(
-                name=f"homing-leader-{speed}",
-                drones=3,
-                speed_m_s=0.0,
-                leader_homes_m_s=speed,
-                ends_s=HOMED_ENDS_S,
-            )
-            for speed in HOMING_M_S
-        ),
+        _hovering("intruder-1", INTRUDED_ENDS_S + 8.0, intruder_m_s=1.0),
+        _hovering("intruder-2", INTRUDED_ENDS_S, intruder_m_s=2.0),
+        *(_hovering(f"homing-{speed}", HOMED_ENDS_S, intruder_m_s=speed, homes=True) for speed in HOMING_M_S),
+        *(_hovering(f"homing-leader-{speed}", HOMED_ENDS_S, leader_homes_m_s=speed) for speed in HOMING_M_S),
         FlightPlan(name="ghosts", drones=3, ghosts=3),
-        FlightPlan(name="ghosts-hover", drones=3, ghosts=3, speed_m_s=0.0, ends_s=40.0),
-        FlightPlan(
-            name="drift-height-0.3-ranged",
-            failure=Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.3),
-            range_finders=True,
-            ends_s=FAILED_ENDS_S,
-        ),
-        *(FlightPlan(name=name, drones=3, failure=failure, ends_s=FAILED_ENDS_S) for name, failure in FAULTS),
+        _hovering("ghosts-hover", 40.0, ghosts=3),
+        _failing("drift-height-0.3-ranged", dict(FAULTS)["drift-height-0.3"], range_finders=True),
+        *(_failing(name, failure) for name, failure in FAULTS),
     )
 }
 
@@ -200,41 +182,17 @@ def _alarmed(flight: FormationFlight) -> float:
     return sum(why in WATCHED.values() for why in whys) / max(len(whys), 1)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_seeds(parser, SEEDS, QUICK_SEEDS)
-    add_processes(parser)
-    parser.add_argument(
-        "--flights", nargs="+", choices=[*FLIGHTS, MEETINGS], default=[*FLIGHTS, MEETINGS], metavar="NAME",
-        help=f"which of {', '.join(FLIGHTS)}, {MEETINGS} (default: all)",
-    )  # fmt: skip
-
-
-def run(args: argparse.Namespace) -> None:
-    seeds = args.seeds or (QUICK_SEEDS if args.quick else SEEDS)
-    publish(args.out, args.flights, seeds, args.processes or os.cpu_count() or 1)
-
-
-def publish(out: Path, names: Sequence[str], seeds: int, processes: int) -> dict[str, Any]:
-    """Fly, write formation.json and .md into `out`, and return what is in the JSON."""
-    rows: dict[str, dict[str, Any]] = {}
+def _measured(args: argparse.Namespace) -> dict[str, Any]:
+    """As far as it has come it is written after each row: hours of flights are not lost with the last of them."""
     result: dict[str, Any] = {"rows": []}
-    with report.progress(NAME, len(names) * seeds) as advance, ProcessPoolExecutor(processes) as pool:
-        for name in names:
-            flown: list[FlownFormation] = []
-            met: list[Meeting] = []
-            for flight in pool.map(fly, [name] * seeds, range(seeds)) if name in FLIGHTS else ():
-                flown.append(flight)
-                rows[name] = _row(name, flown)
-                result["rows"] = list(rows.values())
-                # As far as it has come: hours of flights are not lost with the last of them.
-                report.write(out, NAME, result, _markdown(result))
-                advance(name)
-            for meeting in pool.map(meet, range(seeds)) if name == MEETINGS else ():
-                met.append(meeting)
-                result[MEETINGS] = meetings_row(met)
-                advance(name)
-        report.write(out, NAME, result, _markdown(result))
+    parts = [(name, meet if name == MEETINGS else partial(fly, name)) for name in args.flights]
+    flown_parts = flown(NAME, parts, range(args.seeds), processes=args.processes)
+    for name, flights in zip(args.flights, flown_parts, strict=True):
+        if name == MEETINGS:
+            result[MEETINGS] = meetings_row(flights)
+        else:
+            result["rows"].append(_row(name, flights))
+        report.write(args.out, NAME, result, _page(result))
     return result
 
 
@@ -248,10 +206,7 @@ def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
         "min_separation_m": score.min_separation_m,
         "runs_below_1.5_m": sum(flight.slots.nearest < NEAR_M for flight in flown),
         "runs_with_a_lost_follower": sum(bool((flight.slots.last > LOST_M).any()) for flight in flown),
-        "farthest_off_m": {
-            "p50": float(np.median([flight.farthest for flight in flown])),
-            "max": max(flight.farthest for flight in flown),
-        },
+        "farthest_off_m": _middle_and_most([flight.farthest for flight in flown]),
         "held_share": float(np.mean([flight.held for flight in flown])),
         "false_alarms": float(np.mean([flight.alarmed for flight in flown])),
     }
@@ -267,10 +222,7 @@ def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
     if gone:
         row["leader_gone"] = {
             "worst_speed_m_s_after_1_2_3_4_s": np.array([one.speeds for one in gone]).max(axis=0).tolist(),
-            "flown_on_m": {
-                "p50": float(np.median([one.flown_on_m for one in gone])),
-                "max": max(one.flown_on_m for one in gone),
-            },
+            "flown_on_m": _middle_and_most([one.flown_on_m for one in gone]),
         }
     return row
 
@@ -279,43 +231,41 @@ def _middle_and_most(values: Sequence[float]) -> dict[str, float]:
     return {"p50": float(np.median(values)), "max": max(values)}
 
 
-def _markdown(result: dict[str, Any]) -> str:
+COLUMNS: report.Columns = (
+    ("flight", "{flight}"),
+    ("runs", "{runs}"),
+    ("error p50, p95 m", "{error_m[p50]:.2f}, {error_m[p95]:.2f}"),
+    ("end p95 m", "{error_m[end_p95]:.2f}"),
+    ("smallest separation m", "{min_separation_m:.2f}"),
+    ("runs below 1.5 m", lambda row: str(row["runs_below_1.5_m"])),
+    ("farthest off m, p50, max", "{farthest_off_m[p50]:.1f}, {farthest_off_m[max]:.1f}"),
+    ("runs with a lost follower", "{runs_with_a_lost_follower}"),
+    ("held", "{held_share:.1%}"),
+    ("false alarms", "{false_alarms:.2%}"),
+)
+GONE = (
+    "{flight}: the fastest follower after 1, 2, 3, 4 s: {speeds} m/s; flown on {leader_gone[flown_on_m][p50]:.1f} m, "
+    "at most {leader_gone[flown_on_m][max]:.1f} m."
+)
+MET = (
+    "{runs} meetings of 2 to 5: longest wait {waited_s[max]:.1f} s, the smallest separation {min_separation_m:.2f} m; "
+    "in {runs_with_one_not_arrived} somebody did not arrive."
+)
+
+
+def _page(result: dict[str, Any]) -> str:
     rows = result["rows"]
-    header = [
-        "flight", "runs", "error p50, p95 m", "end p95 m", "smallest separation m", "runs below 1.5 m",
-        "farthest off m, p50, max", "runs with a lost follower", "held", "false alarms",
-    ]  # fmt: skip
-    cells = [
-        [
-            row["flight"],
-            str(row["runs"]),
-            f"{row['error_m']['p50']:.2f}, {row['error_m']['p95']:.2f}",
-            f"{row['error_m']['end_p95']:.2f}",
-            f"{row['min_separation_m']:.2f}",
-            str(row["runs_below_1.5_m"]),
-            f"{row['farthest_off_m']['p50']:.1f}, {row['farthest_off_m']['max']:.1f}",
-            str(row["runs_with_a_lost_follower"]),
-            f"{row['held_share']:.1%}",
-            f"{row['false_alarms']:.2%}",
-        ]
-        for row in rows
-    ]
-    lines = [
-        f"{row['flight']}: the fastest follower after 1, 2, 3, 4 s: "
-        + ", ".join(f"{speed:.2f}" for speed in row["leader_gone"]["worst_speed_m_s_after_1_2_3_4_s"])
-        + f" m/s; flown on {row['leader_gone']['flown_on_m']['p50']:.1f} m, at most "
-        f"{row['leader_gone']['flown_on_m']['max']:.1f} m."
-        for row in rows
-        if "leader_gone" in row
-    ]
+    lines = []
+    for row in rows:
+        if "leader_gone" in row:
+            fastest = row["leader_gone"]["worst_speed_m_s_after_1_2_3_4_s"]
+            lines.append(
+                report.filled(GONE, {**row, "speeds": ", ".join(f"{speed:.2f}" for speed in fastest)})
+            )
     lines += [_noticed_in_words(row) for row in rows if "noticed" in row]
     if MEETINGS in result:
-        met = result[MEETINGS]
-        lines.append(
-            f"{met['runs']} meetings of 2 to 5: longest wait {met['waited_s']['max']:.1f} s, the smallest separation "
-            f"{met['min_separation_m']:.2f} m; in {met['runs_with_one_not_arrived']} somebody did not arrive."
-        )
-    return "\n\n".join(["# Formation by sight", report.table(header, cells), *lines])
+        lines.append(report.filled(MET, result[MEETINGS]))
+    return report.page("# Formation by sight", report.table_of(COLUMNS, rows), *lines)
 
 
 def _noticed_in_words(row: dict[str, Any]) -> str:
@@ -328,3 +278,19 @@ def _noticed_in_words(row: dict[str, Any]) -> str:
         f"{row['flight']}: noticed after {after['p50']:.1f} s, at most {after['max']:.1f} s{height}; never in "
         f"{noticed['never']} of {row['runs']}; lowest {noticed['lowest_m']:.1f} m."
     )
+
+
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    _page,
+    options=(
+        seeds(100, quick=2),
+        PROCESSES,
+        option(
+            "--flights", f"which of {', '.join(FLIGHTS)}, {MEETINGS} (default: all)", nargs="+",
+            choices=[*FLIGHTS, MEETINGS], default=[*FLIGHTS, MEETINGS], metavar="NAME",
+        ),
+    ),
+)  # fmt: skip
+add_arguments, run = BENCH.add_arguments, BENCH.run

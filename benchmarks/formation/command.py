@@ -6,21 +6,20 @@
   limits, and the same both times. Every fifth is one in which all others are too near: no command closes in on any of
   them faster than standing, or flying on, would.
 
-    swarmtrack bench formation-command [--states N] [--quick] --out DIR
+Both are parts of `swarmtrack bench cost --of command`.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-from pathlib import Path
-from typing import Any, NamedTuple
+import sys
+import time
+from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.arguments import count
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.figures import Figure, median_s
 from swarmtrack.benchmarks.formation.any_states import (
     HEIGHT_M,
     SLOTS,
@@ -30,18 +29,15 @@ from swarmtrack.benchmarks.formation.any_states import (
     closes_in,
     wrong_with,
 )
-from swarmtrack.benchmarks.relative_cost import median_cpu
 from swarmtrack.formation.formation import Formation
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import OwnFlight, Setpoint
 from swarmtrack.messages import IdentifiedTrack, RelativeState, Track, TrackStatus
 
-NAME = "formation-command"
 TRACKS = (1, 5, 10, 20)
 BUDGET_MS = 0.3
 BUDGET_TRACKS = 10
 REPEATS, QUICK_REPEATS = 3000, 300
-STATES, QUICK_STATES = 1_000_000, 20_000
 STATES_OF_A_STORY = 1000
 SQUEEZED_EVERY = 5
 # m/s
@@ -85,7 +81,9 @@ def cost(n: int, repeats: int) -> float:
     times = (0.1 * k for k in itertools.count())
     for _ in range(20):
         formation.command(states, own, tracks, next(times))
-    return 1e3 * median_cpu(lambda: formation.command(states, own, tracks, next(times)), repeats)
+    return 1e3 * median_s(
+        lambda: formation.command(states, own, tracks, next(times)), repeats, time.process_time
+    )
 
 
 def soundness(stories: int) -> Soundness:
@@ -114,50 +112,26 @@ def soundness(stories: int) -> Soundness:
     return Soundness(stories * STATES_OF_A_STORY, squeezed, unlike, unsound, closing_in, wrong)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    parser.add_argument(
-        "--states",
-        type=count,
-        metavar="N",
-        help=f"random states (default: {STATES}; with --quick {QUICK_STATES})",
-    )
-
-
-def run(args: argparse.Namespace) -> None:
-    states = args.states or (QUICK_STATES if args.quick else STATES)
-    publish(args.out, QUICK_REPEATS if args.quick else REPEATS, -(-states // STATES_OF_A_STORY))
-
-
-def publish(out: Path, repeats: int, stories: int) -> dict[str, Any]:
-    """Measure, write formation-command.json and .md into `out`, and return what is in the JSON."""
-    costs = {}
-    with report.progress(NAME, len(TRACKS) + 1) as advance:
-        for n in TRACKS:
-            costs[n] = cost(n, repeats)
-            advance(f"{n} tracks")
-        found = soundness(stories)
-        advance("random states")
-    result = {"cost_ms": {str(n): value for n, value in costs.items()}, "soundness": found._asdict()}
-    report.write(out, NAME, result, _markdown(costs, found))
-    return result
-
-
-def _markdown(costs: dict[int, float], found: Soundness) -> str:
-    rows = [
-        [str(n), f"{value:.3f} ms", f"{BUDGET_MS} ms" if n == BUDGET_TRACKS else ""]
-        for n, value in costs.items()
+def measured(args: argparse.Namespace) -> list[Figure]:
+    """Of so many tracks, and of --states random states."""
+    repeats = QUICK_REPEATS if args.quick else REPEATS
+    costs = [
+        Figure(
+            f"a command with {n} tracks", cost(n, repeats), "ms", BUDGET_MS if n == BUDGET_TRACKS else None
+        )
+        for n in TRACKS
     ]
-    words = (
-        f"Of {found.states} random states {found.unsound} answers were not sound and {found.answers_unlike} were not "
-        f"the same again. Of {found.squeezed} in which all others were too near {found.closing_in} closed in on "
-        "somebody without need."
-    )
-    return "\n\n".join(
-        [
-            "# What a formation's command costs",
-            report.table(["tracks", "found", "at most"], rows),
-            words,
-            *found.wrong,
-        ]
-    )
+    found = soundness(-(-args.states // STATES_OF_A_STORY))
+    if found.wrong:
+        print(*found.wrong, sep="\n", file=sys.stderr)
+    return [
+        *costs,
+        Figure(f"of {found.states} random states, answers that were not sound", found.unsound, "", 0.0),
+        Figure("… that were not the same again", found.answers_unlike, "", 0.0),
+        Figure(
+            f"of {found.squeezed} with all others too near, answers that closed in without need",
+            found.closing_in,
+            "",
+            0.0,
+        ),
+    ]

@@ -6,16 +6,12 @@ swarmtrack bench identity [--quick] --out DIR
 from __future__ import annotations
 
 import argparse
-import multiprocessing
-import os
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from pathlib import Path
+from collections.abc import Sequence
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.harness import PROCESSES, Benchmark, amount, pool
 from swarmtrack.benchmarks.identity import page
 from swarmtrack.benchmarks.identity.experiment import (
     AS_EXPECTED,
@@ -37,31 +33,30 @@ NAME = "identity"
 DRONES = (3, 5, 8, 12, 16, 20, 25, 30)
 ERRORS_PX = (2.0, 5.0, 10.0, 20.0, 30.0, 40.0)
 FEWER_DRONES, FEWER_ERRORS_PX = (8, 16, 30), (10.0, 20.0, 40.0)  # of the skies that are not complete
-LAYOUTS, QUICK_LAYOUTS = 1000, 50  # a cell
 CHUNK = 50  # layouts a task
 WIDEST_CELL = Cell(COMPLETE, DRONES[-1], ERRORS_PX[-1])
 COMPARED = 0.1  # of the layouts: so many that are too wide to sweep are swept nevertheless
 TIMED_DRONES, TIMED_ERRORS_PX = (8, 16, 30), (10.0, 20.0, 40.0)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, layouts=QUICK_LAYOUTS if args.quick else LAYOUTS)
-
-
-def publish(out: Path, *, layouts: int, processes: int | None = None) -> Result:
-    """Play all cells, write identity.json, identity.md and the plots into `out`, and return what was found."""
+def _measured(args: argparse.Namespace) -> Result:
+    """Two plots into `args.out`, too."""
     report.pyplot()  # before the work, not after it, should it be missing
-    chunks = play_all(tasks(layouts), processes or os.cpu_count() or 1)
-    result = Result(
+    result = found(args.layouts, args.processes)
+    page.plot_cells(args.out / f"{NAME}.png", result)
+    page.plot_calibration(args.out / f"{NAME}_calibration.png", result)
+    return result
+
+
+def found(layouts: int, processes: int | None) -> Result:
+    """Of all cells."""
+    chunks = play_all(tasks(layouts), processes)
+    return Result(
         layouts=layouts,
-        cells={cell: scores(found) for cell, found in chunks.items()},
+        cells={cell: scores(of_cell) for cell, of_cell in chunks.items()},
         left_out={
-            cell: float(np.mean(np.concatenate([chunk.left_out for chunk in found])))
-            for cell, found in chunks.items()
+            cell: float(np.mean(np.concatenate([chunk.left_out for chunk in of_cell])))
+            for cell, of_cell in chunks.items()
         },
         calibrations=calibrations(chunks),
         thinned=[
@@ -70,10 +65,6 @@ def publish(out: Path, *, layouts: int, processes: int | None = None) -> Result:
         ],
         costs=[cost(n, error, min(layouts, 200)) for n in TIMED_DRONES for error in TIMED_ERRORS_PX],
     )
-    report.write(out, NAME, page.as_json(result), page.markdown(result))
-    page.plot_cells(out / f"{NAME}.png", result)
-    page.plot_calibration(out / f"{NAME}_calibration.png", result)
-    return result
 
 
 def calibrations(chunks: dict[Cell, list[Chunk]]) -> dict[Pool, Reliability]:
@@ -106,20 +97,21 @@ def _play_task(task: tuple[Cell, int, int]) -> Chunk:
     return play(*task)
 
 
-def play_all(todo: Sequence[tuple[Cell, int, int]], processes: int) -> dict[Cell, list[Chunk]]:
+def play_all(todo: Sequence[tuple[Cell, int, int]], processes: int | None) -> dict[Cell, list[Chunk]]:
     """Every task, over some processes, by cell."""
     chunks: dict[Cell, list[Chunk]] = {}
-    with report.progress("identity layouts", len(todo)) as advance:
-        for chunk in _played(todo, processes):
+    with pool(processes) as play_each, report.progress("identity layouts", len(todo)) as advance:
+        for chunk in play_each(_play_task, todo):
             chunks.setdefault(chunk.cell, []).append(chunk)
             advance(f"{chunk.cell.drones} drones, {chunk.cell.error_px:g} px")
     return chunks
 
 
-def _played(todo: Sequence[tuple[Cell, int, int]], processes: int) -> Iterator[Chunk]:
-    if processes == 1:
-        yield from map(_play_task, todo)
-        return
-    # Spawned, not forked: the line of progress is a thread.
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(_play_task, todo)
+BENCH = Benchmark(
+    NAME,
+    _measured,
+    page.markdown,
+    options=(amount("--layouts", 1000, 50, "random ones of each cell"), PROCESSES),
+    record=page.as_json,
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

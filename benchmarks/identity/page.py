@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -102,39 +102,37 @@ def markdown(result: Result) -> str:
         for name, method in methods.items()
         if name.startswith("posterior")
     )
-    return "\n\n".join(
-        [
-            "# Who is who from one look",
-            f"{result.layouts} random layouts a cell, {CAMERA.width}×{CAMERA.height} px, true projections uniform in"
-            f" the image and as near to each other as they fall; error σ per axis between track and projection, in all"
-            f" (of it the track's own {TRACK_SIGMA_PX:g} px), known to the observer; one look; IDs at {PROBABILITY:g}."
-            " In percent with 95 % intervals over layouts: *wrong* of all tracks, *unknown* of the team's tracks,"
-            ' *twice* of layouts in which an ID was given twice. argmin and Hungarian know no "unknown".',
-            "*posterior*: with the prior that agents have (a drone in view has a track with 0.9; one stranger in an"
-            " image). *told*: with the prior that holds under this sky.",
-            f"Layouts in which the posterior gave an ID twice: {round(duplicates)}.",
-            _aims(result),
-            "## Every drone has a track, nobody else flies",
-            _cells(result, [COMPLETE.name]),
-            f"*too wide*: layouts whose sweep would have more than {WIDEST} rows open, so that pairs were left out.",
-            "## Strangers and missed drones",
-            f"*{AS_EXPECTED.name}*: a drone has a track with {AS_EXPECTED.p_seen:g}, strangers are Poisson with mean"
-            f" {AS_EXPECTED.strangers:g}: the prior that agents have. *{CROWDED.name}*: {CROWDED.p_seen:g} and"
-            f" {CROWDED.strangers:g}.",
-            _cells(result, [AS_EXPECTED.name, CROWDED.name]),
-            "## Calibration",
-            "Of all pairs with p ≥ 0.5: how likely they were said to be, and the share that is right. *expected"
-            " error*: how far the two are apart in a bin of p, mean over statements.",
-            _calibrations(result),
-            "Of the IDs given at or above a threshold (all cells): stated → right.",
-            _thresholds(result),
-            "## Sweeps that are too wide",
-            f"Layouts of the widest cell with {WIDEST + 1} to {COMPARED_WIDTH} rows open, beside the exact marginals."
-            " *off*: the largest error of a probability in a layout, median and worst.",
-            _thinned(result.thinned),
-            "## Time of one posterior",
-            _costs(result),
-        ]
+    return report.page(
+        "# Who is who from one look",
+        f"{result.layouts} random layouts a cell, {CAMERA.width}×{CAMERA.height} px, true projections uniform in"
+        f" the image and as near to each other as they fall; error σ per axis between track and projection, in all"
+        f" (of it the track's own {TRACK_SIGMA_PX:g} px), known to the observer; one look; IDs at {PROBABILITY:g}."
+        " In percent with 95 % intervals over layouts: *wrong* of all tracks, *unknown* of the team's tracks,"
+        ' *twice* of layouts in which an ID was given twice. argmin and Hungarian know no "unknown".',
+        "*posterior*: with the prior that agents have (a drone in view has a track with 0.9; one stranger in an"
+        " image). *told*: with the prior that holds under this sky.",
+        f"Layouts in which the posterior gave an ID twice: {round(duplicates)}.",
+        _aims(result),
+        "## Every drone has a track, nobody else flies",
+        _cells(result, [COMPLETE.name]),
+        f"*too wide*: layouts whose sweep would have more than {WIDEST} rows open, so that pairs were left out.",
+        "## Strangers and missed drones",
+        f"*{AS_EXPECTED.name}*: a drone has a track with {AS_EXPECTED.p_seen:g}, strangers are Poisson with mean"
+        f" {AS_EXPECTED.strangers:g}: the prior that agents have. *{CROWDED.name}*: {CROWDED.p_seen:g} and"
+        f" {CROWDED.strangers:g}.",
+        _cells(result, [AS_EXPECTED.name, CROWDED.name]),
+        "## Calibration",
+        "Of all pairs with p ≥ 0.5: how likely they were said to be, and the share that is right. *expected"
+        " error*: how far the two are apart in a bin of p, mean over statements.",
+        _calibrations(result),
+        "Of the IDs given at or above a threshold (all cells): stated → right.",
+        _thresholds(result),
+        "## Sweeps that are too wide",
+        f"Layouts of the widest cell with {WIDEST + 1} to {COMPARED_WIDTH} rows open, beside the exact marginals."
+        " *off*: the largest error of a probability in a layout, median and worst.",
+        _thinned(result.thinned),
+        "## Time of one posterior",
+        report.table_of(COST_COLUMNS, result.costs),
     )
 
 
@@ -164,42 +162,34 @@ def _aims(result: Result) -> str:
 
 
 def _cells(result: Result, skies: list[str]) -> str:
-    header = [
-        "drones, error",
-        "argmin: wrong",
-        "twice",
-        "Hungarian: wrong",
-        "margin: wrong",
-        "unknown",
-        "posterior: wrong",
-        "unknown",
-        "told: wrong",
-        "unknown",
-        "too wide",
+    rows = [
+        {**methods, "told": methods.get("posterior, told", methods["posterior"]), "cell": cell}
+        for cell, methods in sorted(result.cells.items(), key=_by_place)
+        if cell.sky.name in skies
     ]
-    rows = []
-    for cell, methods in sorted(result.cells.items(), key=_by_place):
-        if cell.sky.name not in skies:
-            continue
-        told = methods.get("posterior, told", methods["posterior"])
-        name = f"{cell.drones}, {cell.error_px:g} px"
-        rows.append(
-            [
-                name if len(skies) == 1 else f"{cell.sky.name}: {name}",
-                _percent(methods["argmin"].wrong),
-                _percent(methods["argmin"].duplicate),
-                _percent(methods["Hungarian"].wrong),
-                *_wrong_and_unknown(methods["margin"]),
-                *_wrong_and_unknown(methods["posterior"]),
-                *_wrong_and_unknown(told),
-                f"{100.0 * result.left_out[cell]:.1f}",
-            ]
-        )
-    return report.table(header, rows)
 
+    def name(row: dict[str, Any]) -> str:
+        cell = row["cell"]
+        words = f"{cell.drones}, {cell.error_px:g} px"
+        return words if len(skies) == 1 else f"{cell.sky.name}: {words}"
 
-def _wrong_and_unknown(method: Method) -> list[str]:
-    return [_percent(method.wrong), _percent(method.unknown)]
+    def of(method: str, count: str) -> Callable[[dict[str, Any]], str]:
+        return lambda row: _percent(getattr(row[method], count))
+
+    columns: report.Columns = (
+        ("drones, error", name),
+        ("argmin: wrong", of("argmin", "wrong")),
+        ("twice", of("argmin", "duplicate")),
+        ("Hungarian: wrong", of("Hungarian", "wrong")),
+        ("margin: wrong", of("margin", "wrong")),
+        ("unknown", of("margin", "unknown")),
+        ("posterior: wrong", of("posterior", "wrong")),
+        ("unknown", of("posterior", "unknown")),
+        ("told: wrong", of("told", "wrong")),
+        ("unknown", of("told", "unknown")),
+        ("too wide", lambda row: f"{100.0 * result.left_out[row['cell']]:.1f}"),
+    )
+    return report.table_of(columns, rows)
 
 
 def _calibrations(result: Result) -> str:
@@ -233,12 +223,12 @@ def _in_order(found: dict[Pool, Reliability]) -> list[tuple[Pool, Reliability]]:
     return sorted(found.items(), key=lambda item: (item[0].sky, item[0].method, item[0].error_px or 0.0))
 
 
-def _costs(result: Result) -> str:
-    rows = [
-        [str(cost.drones), f"{cost.error_px:g}", report.number(cost.median_ms), report.number(cost.p95_ms)]
-        for cost in result.costs
-    ]
-    return report.table(["drones", "error, px", "median, ms", "95 %, ms"], rows)
+COST_COLUMNS = (
+    ("drones", "{drones}"),
+    ("error, px", "{error_px:g}"),
+    ("median, ms", "{median_ms:.2f}"),
+    ("95 %, ms", "{p95_ms:.2f}"),
+)
 
 
 def _thinned(entries: Iterable[Thinned]) -> str:
@@ -276,8 +266,7 @@ def plot_cells(path: Path, result: Result) -> None:
         image = _heat_map(axis, cells)
         axis.set(title=title, xlabel="drones", ylabel="projection error, px per axis")
     figure.colorbar(image, ax=axes, label="%", shrink=0.5)
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
+    report.save(figure, path, dpi=110)
 
 
 def _heat_map(axis: Any, cells: dict[tuple[int, float], Interval]) -> Any:
@@ -329,8 +318,7 @@ def plot_calibration(path: Path, result: Result) -> None:
     axes.flat[len(panels)].text(
         0.5, 0.1, "▽: none wrong; the interval ends there", ha="center", transform=axes.flat[-1].transAxes
     )
-    figure.savefig(path, dpi=120)
-    pyplot.close(figure)
+    report.save(figure, path, dpi=120)
 
 
 def _draw_bins(axis: Any, found: Reliability, colour: Any, label: str, *, size: float) -> None:

@@ -6,18 +6,14 @@ processes, clocks and radios can spoil is not in it: that is `swarmtrack bench s
 
 from __future__ import annotations
 
-import argparse
-import multiprocessing
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_tracker
+from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, Row, scenarios, seeds
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
@@ -25,28 +21,10 @@ from swarmtrack.lab.score.intervals import Interval, mean_interval
 from swarmtrack.lab.score.swarm_score import RATE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 
-NAME = "recognition"
 SHARES = ("correct", "wrong", "unknown", "agreement")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Programme:
-    """Which flights."""
-
-    scenarios: Sequence[str] = (
-        "hover-triangle",
-        "crossing",
-        "occlusion",
-        "fast-yaw",
-        "late-joiner",
-        "intruder",
-    )
-    drones: int = 4
-    seeds: int = 100
-    seconds: float = 20.0
-
-
-QUICK = Programme(seeds=4, seconds=12.0)
+SCENARIOS = ("hover-triangle", "crossing", "occlusion", "fast-yaw", "late-joiner", "intruder")
+DRONES = 4
+SECONDS, QUICK_SECONDS = 20.0, 12.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,47 +67,13 @@ def judge(
     return Flight(scorer.score(), swarm.announcements / len(flown.members))
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, QUICK if args.quick else Programme(), tracker=args.tracker)
-
-
-def publish(out: Path, p: Programme, *, tracker: str) -> dict[str, Any]:
-    """Fly everything on all cores, write recognition.json and recognition.md into `out`."""
-    found: dict[str, list[Flight]] = {name: [] for name in p.scenarios}
-    total = len(p.scenarios) * p.seeds
-    with (
-        multiprocessing.get_context("spawn").Pool() as pool,
-        report.progress(NAME, total) as advance,
-    ):
-        for name in p.scenarios:
-            one = partial(fly, name, p.drones, p.seconds, tracker)
-            for flight in pool.imap(one, range(1, p.seeds + 1)):
-                found[name].append(flight)
-                advance(name)
-    result = {
-        "tracker": tracker,
-        "drones": p.drones,
-        "seeds": p.seeds,
-        "seconds": p.seconds,
-        "scenarios": {name: _summary(flights) for name, flights in found.items()},
-    }
-    report.write(out, NAME, result, _markdown(result))
-    return result
-
-
-def _summary(flights: Sequence[Flight]) -> dict[str, Any]:
-    shares = {name: _interval([getattr(flight.score, name) for flight in flights]) for name in SHARES}
+def summary(flights: Sequence[Flight]) -> dict[str, Any]:
+    """The columns of one row of the table."""
+    scores = [flight.score for flight in flights]
     return {
-        **{name: interval._asdict() for name, interval in shares.items()},
-        "flights_with_a_wrong_name": sum(flight.score.wrong > 0.0 for flight in flights),
-        "slowest_to_identify_s": max(
-            seconds for flight in flights for seconds in flight.score.time_to_identify_s.values()
-        ),
+        **{name: _interval([getattr(score, name) for score in scores])._asdict() for name in SHARES},
+        "flights_with_a_wrong_name": sum(score.wrong > 0.0 for score in scores),
+        "slowest_to_identify_s": max(s for score in scores for s in score.time_to_identify_s.values()),
         "announcements_per_drone": float(np.mean([flight.announcements_per_drone for flight in flights])),
     }
 
@@ -138,31 +82,50 @@ def _interval(samples: Sequence[float]) -> Interval:
     return mean_interval(np.array([sample for sample in samples if np.isfinite(sample)]))
 
 
-def _markdown(result: dict[str, Any]) -> str:
-    def percent(interval: dict[str, float]) -> str:
-        value, low, high = (100.0 * interval[key] for key in ("value", "low", "high"))
+def _percent(name: str) -> Callable[[dict[str, Any]], str]:
+    """An interval of means may reach beyond what a share can be."""
+
+    def cell(row: dict[str, Any]) -> str:
+        value, low, high = (100.0 * row[name][key] for key in ("value", "low", "high"))
         return f"{value:.2f} ({max(low, 0.0):.2f} … {min(high, 100.0):.2f})"
 
-    rows = [
-        [
+    return cell
+
+
+def _seconds(*, quick: bool) -> float:
+    return QUICK_SECONDS if quick else SECONDS
+
+
+BENCH = Flights(
+    name="recognition",
+    title="Who is who over many flights",
+    about="{drones} drones (and strangers), {seconds:g} s, {seeds} seeds a scenario, synthetic detections, tracker "
+    "`{tracker}`, no processes; shares of (observer, drone in view, tenth of a second) with 95 % intervals over "
+    "flights.",
+    seeds=seeds(100, quick=4),
+    options=(TRACKER, scenarios(SCENARIOS), PROCESSES),
+    rows=lambda args: [
+        Row(
             name,
-            *(percent(found[share]) for share in SHARES),
-            str(found["flights_with_a_wrong_name"]),
-            f"{found['slowest_to_identify_s']:.1f}",
-            f"{found['announcements_per_drone']:.1f}",
-        ]
-        for name, found in result["scenarios"].items()
-    ]
-    header = [
-        "scenario", *(f"{share}, %" for share in SHARES), "flights with a wrong name", "slowest to identify, s",
-        "announcements of a drone",
-    ]  # fmt: skip
-    return "\n\n".join(
-        [
-            "# Who is who over many flights",
-            f"{result['drones']} drones (and strangers), {result['seconds']:g} s, {result['seeds']} seeds a scenario, "
-            f"synthetic detections, tracker `{result['tracker']}`, no processes; shares of (observer, drone in view, "
-            "tenth of a second) with 95 % intervals over flights.",
-            report.table(header, rows),
-        ]
-    )
+            partial(fly, name, DRONES, _seconds(quick=args.quick), args.tracker),
+            summary,
+            {"name": name},
+            place=("scenarios", name),
+        )
+        for name in args.scenarios
+    ],
+    facts=lambda args: {
+        "tracker": args.tracker,
+        "drones": DRONES,
+        "seeds": args.seeds,
+        "seconds": _seconds(quick=args.quick),
+    },
+    columns=(
+        ("scenario", "{name}"),
+        *((f"{share}, %", _percent(share)) for share in SHARES),
+        ("flights with a wrong name", "{flights_with_a_wrong_name}"),
+        ("slowest to identify, s", "{slowest_to_identify_s:.1f}"),
+        ("announcements of a drone", "{announcements_per_drone:.1f}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

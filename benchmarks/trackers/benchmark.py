@@ -16,13 +16,11 @@ import os
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import fields
-from pathlib import Path
+from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
-from swarmtrack.arguments import add_flag, add_folder
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.harness import Command, Option, flag, option, path
 from swarmtrack.benchmarks.trackers import page, results, timing
 from swarmtrack.benchmarks.trackers import peers as tracker_peers
 from swarmtrack.benchmarks.trackers.clips import play_clips
@@ -80,38 +78,41 @@ class Block(NamedTuple):
     runs: range
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    parser.add_argument("--runs", type=int, metavar="N", help="of every scene (default: its own, 100 or 300)")
-    parser.add_argument(
-        "--tracker", action="extend", nargs="+", default=[], metavar="NAME", help="(default: all)"
-    )
-    parser.add_argument(
-        "--scene", action="extend", nargs="+", default=[], metavar="NAME", help="(default: all)"
-    )
-    add_flag(parser, "--peers", "Stone Soup's, too (needs swarmtrack[peers])")
-    parser.add_argument("--jobs", type=int, metavar="N", help="processes (default: one a core)")
-    add_folder(parser, "--data", "real detections, too: a folder with NAME.mp4 and NAME_gt.csv")
+@dataclass(frozen=True)
+class Trackers(Command):
+    """NAME.json is a plain list of rows, unlike others'."""
+
+    name: str
+    options: Sequence[Option]
+
+    def _measure(self, args: argparse.Namespace) -> dict[str, Any]:
+        more = {} if args.jobs is None else {"jobs": args.jobs}
+        programme = Programme(
+            trackers=tuple(args.tracker), scenes=tuple(args.scene), runs=args.runs, quick=args.quick,
+            peers=args.peers, data=args.data, **more,
+        )  # fmt: skip
+        report.pyplot()  # before the work, not after it, should it be missing
+        result = found(programme)
+        page.write(args.out, NAME, result)
+        return {"rows": result.rows}
 
 
-def run(args: argparse.Namespace) -> None:
-    publish(
-        args.out,
-        Programme(
-            trackers=tuple(args.tracker),
-            scenes=tuple(args.scene),
-            runs=args.runs,
-            quick=args.quick,
-            peers=args.peers,
-            data=args.data,
-            **({} if args.jobs is None else {"jobs": args.jobs}),
-        ),
-    )
+BENCH = Trackers(
+    NAME,
+    options=(
+        option("--runs", "of every scene (default: its own, 100 or 300)", type=int, metavar="N"),
+        option("--tracker", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
+        option("--scene", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
+        flag("--peers", "Stone Soup's, too (needs swarmtrack[peers])"),
+        option("--jobs", "processes (default: one a core)", type=int, metavar="N"),
+        path("--data", "real detections, too: a folder with NAME.mp4 and NAME_gt.csv"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run
 
 
-def publish(out: Path, programme: Programme) -> Result:
-    """Play, time, and write trackers.json, trackers_machine.json, trackers.md and the plots into `out`."""
-    report.pyplot()  # before the work, not after it, should it be missing
+def found(programme: Programme) -> Result:
+    """Play and time."""
     began = time.monotonic()
     peers = tracker_peers.load() if programme.peers else {}
     blocks = [*_blocks(programme, tuple(peers)), *_ablation_blocks(programme)]
@@ -127,11 +128,7 @@ def publish(out: Path, programme: Programme) -> Result:
     rows = [results.row(SCENES[scene], label, scores) for (scene, label), scores in compared.items()]
     wall = time.monotonic() - began
     difference = {tracker: late_difference(tracker) for tracker in programme.own}
-    result = Result(
-        programme, rows, compared, ablation, costs, enumerated, reference, difference, clips, wall
-    )
-    page.write(out, NAME, result)
-    return result
+    return Result(programme, rows, compared, ablation, costs, enumerated, reference, difference, clips, wall)
 
 
 def play_all(blocks: Sequence[Block], jobs: int) -> Played:

@@ -15,18 +15,12 @@ import cv2
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.lone_onboard import lone_onboard
 from swarmtrack.benchmarks.real_clips import START_S
 from swarmtrack.detection.detector import Detector
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.geometry.pose import Pose
-from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
-from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.score.clip_score import ClipScore, TrackPoints, score_clip
 from swarmtrack.messages import Detections, Frame, StampKind, TrackStatus
-from swarmtrack.motion.ego import EgoHistory
-from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.motion.mounting import Mounting
-from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.tracking import AGENT_PARAMETERS, create_tracker
 from swarmtrack.training.labelled_clips import Clip, drone_clips, read_truth
 
@@ -76,19 +70,7 @@ def follow(clip: Clip, seen: Sequence[Detections], tracker: str) -> ClipRow:
     camera = PinholeCamera(
         clip.width, clip.width, (clip.width - 1) / 2, (clip.height - 1) / 2, clip.width, clip.height
     )
-    onboard = Onboard(
-        1,
-        cameras=[
-            OnboardCamera(
-                camera,
-                Mounting(Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))),
-                create_tracker(tracker, camera=camera, **AGENT_PARAMETERS),
-            )
-        ],
-        gyro=GyroHistory(),
-        ego=EgoHistory(),
-        identity=IdentityParameters(),
-    )
+    onboard = lone_onboard(camera, create_tracker(tracker, camera=camera, **AGENT_PARAMETERS))
     claimed: dict[int, TrackPoints] = {}
     spent = []
     for detections in seen:

@@ -11,32 +11,28 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from swarmtrack.arguments import count
-from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common, add_tracker
-from swarmtrack.benchmarks.report import number
+from swarmtrack.benchmarks.harness import TRACKER, Flights, Row, amount, option
+from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.trackers.play import make_tracker
-from swarmtrack.benchmarks.trackers.scenes import Scene, film, find_scene
+from swarmtrack.benchmarks.trackers.scenes import film, find_scene
 from swarmtrack.lab.score.intervals import bootstrap_interval
 from swarmtrack.messages import Array, Track
 
-NAME = "fixed-lag"
-RUNS, QUICK_RUNS = 100, 4
 SCENES = ("noise.25", "noise.50", "noise.75", "pd.80", "mixedA", "mixedB", "crossing", "rotating")
 
 
-def play(scene: Scene, tracker: str, run: int, scans: int) -> tuple[float, float]:
+def play(scene_name: str, tracker: str, scans: int, run: int) -> tuple[float, float]:
     """Mean squared errors px² of one run with known starts: at once, and so many scans later."""
+    scene = find_scene(scene_name)
     take = film(scene, run)
     if take.start is None:
-        raise report.BenchmarkError(
-            f"--scene {scene.name}: nobody tells the starts there, expected one that does"
-        )
+        raise BenchmarkError(f"--scene {scene_name}: nobody tells the starts there, expected one that does")
     player = make_tracker(scene, tracker, {"lag_s": scans / scene.rate_hz})
     ids = player.initiate(float(take.t[0]), take.start)
     at_once, later = np.full(take.truth.shape[:2], np.nan), np.full(take.truth.shape[:2], np.nan)
@@ -57,54 +53,40 @@ def _judge(tracks: Sequence[Track], ids: Sequence[int], t: Array, truth: Array, 
             squared_error[place] = float(((track.mean[::2] - truth[place]) ** 2).sum())
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-    add_tracker(parser)
-    parser.add_argument(
-        "--runs", type=count, metavar="N", help=f"of every scene (default: {RUNS}; with --quick {QUICK_RUNS})"
-    )
-    parser.add_argument("--scans", type=count, default=5, metavar="N", help="of delay (default: %(default)s)")
-    parser.add_argument(
-        "--scene", action="extend", nargs="+", metavar="NAME", help=f"(default: {' '.join(SCENES)})"
-    )
+def summary(rng: np.random.Generator, errors: Sequence[tuple[float, float]]) -> dict[str, Any]:
+    """RMSE px: root of the mean over runs."""
+    squares = np.array(errors)
+    ratio = bootstrap_interval(squares, lambda e: math.sqrt(e[:, 1].mean() / e[:, 0].mean()), rng)
+    at_once, later = np.sqrt(squares.mean(axis=0)).tolist()
+    return {"at_once_px": at_once, "smoothed_px": later, "ratio": ratio._asdict()}
 
 
-def run(args: argparse.Namespace) -> None:
-    publish(
-        args.out,
-        runs=args.runs or (QUICK_RUNS if args.quick else RUNS),
-        scans=args.scans,
-        tracker=args.tracker,
-        scenes=args.scene or SCENES,
-    )
-
-
-def publish(
-    out: Path, *, runs: int = 100, scans: int = 5, tracker: str = "mbm", scenes: Sequence[str] = SCENES
-) -> dict[str, Any]:
-    """fixed-lag.json and fixed-lag.md into `out`; returns what is in the JSON. RMSE px: root of the mean over runs."""
-    rng, rows = np.random.default_rng(0), []
-    with report.progress("fixed lag", len(scenes)) as advance:
-        for name in scenes:
-            scene = find_scene(name)
-            errors = np.array([play(scene, tracker, k, scans) for k in range(runs)])
-            ratio = bootstrap_interval(errors, lambda e: math.sqrt(e[:, 1].mean() / e[:, 0].mean()), rng)
-            at_once, later = np.sqrt(errors.mean(axis=0)).tolist()
-            rows.append(
-                {"scene": name, "at_once_px": at_once, "smoothed_px": later, "ratio": ratio._asdict()}
-            )
-            advance(name)
-    result = {"tracker": tracker, "runs": runs, "scans_later": scans, "rows": rows}
-    table = [
-        [
-            row["scene"],
-            number(row["at_once_px"]),
-            number(row["smoothed_px"]),
-            f"{row['ratio']['value']:.3f} ({row['ratio']['low']:.3f} … {row['ratio']['high']:.3f})",
-        ]
-        for row in rows
+def _rows(args: argparse.Namespace) -> list[Row]:
+    rng = np.random.default_rng(0)
+    return [
+        Row(name, partial(play, name, args.tracker, args.scans), partial(summary, rng), {"scene": name})
+        for name in args.scene or SCENES
     ]
-    header = ["scene", "at once, px", f"{scans} scans later, px", "ratio, 95 %"]
-    title = f"# Fixed lag\n\nTracker `{tracker}`, {runs} runs, RMSE.\n\n"
-    report.write(out, NAME, result, title + report.table(header, table))
-    return result
+
+
+BENCH = Flights(
+    name="fixed-lag",
+    title="Fixed lag",
+    about="Tracker `{tracker}`, {runs} runs, RMSE; smoothed: {scans_later} scans later.",
+    seeds=amount("--runs", 100, 4, "of every scene"),
+    seeds_from=0,
+    options=(
+        TRACKER,
+        option("--scans", "of delay (default: %(default)s)", type=count, default=5, metavar="N"),
+        option("--scene", f"(default: {' '.join(SCENES)})", action="extend", nargs="+", metavar="NAME"),
+    ),
+    rows=_rows,
+    facts=lambda args: {"tracker": args.tracker, "runs": args.runs, "scans_later": args.scans},
+    columns=(
+        ("scene", "{scene}"),
+        ("at once, px", "{at_once_px:.2f}"),
+        ("smoothed, px", "{smoothed_px:.2f}"),
+        ("ratio, 95 %", "{ratio:.3f}"),
+    ),
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.report import number
 from swarmtrack.benchmarks.trackers import plots as tracker_plots
+from swarmtrack.benchmarks.trackers.clips import ClipRow
 from swarmtrack.benchmarks.trackers.programme import Result
 from swarmtrack.benchmarks.trackers.results import Row, by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, SEED
@@ -78,33 +79,34 @@ def _about(result: Result, found: Sequence[Verdict]) -> dict[str, Any]:
 
 
 def _markdown(result: Result, found: Sequence[Verdict], plots: Sequence[tuple[str, str]]) -> str:
-    sections = [
+    by_family = {
+        title: _family(family, rows)
+        for family, title in FAMILIES.items()
+        if (rows := [row for row in result.rows if SCENES[row["scene"]].family == family])
+    }
+    sections = {
+        "What must hold": report.table_of(VERDICT_COLUMNS, found, numbers=False),
+        "Which tracker when": _choice(result),
+        **by_family,
+        "Real detections": _clips(result) if result.clips else "",
+        "The default tracker without its parts": _ablation(result) if result.ablation else "",
+        "Cost": _costs(result) if result.costs else "",
+    }
+    return report.page(
         "# The trackers",
-        "",
         _preface(result),
-        "",
-        "## What must hold",
-        "",
-        _verdict_table(found),
-        "",
-        "## Which tracker when",
-        "",
-        _choice(result),
-        "",
-    ]
-    for family, title in FAMILIES.items():
-        rows = [row for row in result.rows if SCENES[row["scene"]].family == family]
-        if rows:
-            sections += [f"## {title}", "", *_family(family, rows, result), ""]
-    if result.clips:
-        sections += ["## Real detections", "", _clips(result), ""]
-    if result.ablation:
-        sections += ["## The default tracker without its parts", "", _ablation(result), ""]
-    if result.costs:
-        sections += ["## Cost", "", _costs(result), ""]
-    for file, caption in plots:
-        sections += [f"![{caption}]({file})", f"*{caption}.*", ""]
-    return "\n".join(sections)
+        *(f"## {title}\n\n{text}" for title, text in sections.items() if text),
+        *(f"![{caption}]({file})\n*{caption}.*" for file, caption in plots),
+    )
+
+
+VERDICT_COLUMNS: report.Columns = (
+    ("", "{number}"),
+    ("claim", "{claim}"),
+    ("tracker", "{tracker}"),
+    ("found", "{found}"),
+    ("", lambda row: "not measured" if row.holds is None else report.verdict(row.holds)),
+)
 
 
 def _preface(result: Result) -> str:
@@ -122,12 +124,6 @@ def _preface(result: Result) -> str:
         " *oracle_imm*: told as well, with the default tracker's mix of motion models.\n\n"
         f"Seed {SEED}; the same run shows every tracker the same scans. Took {result.wall_s / 60.0:.0f} min."
     )
-
-
-def _verdict_table(found: Sequence[Verdict]) -> str:
-    words = {True: "holds", False: "**fails**", None: "not measured"}
-    rows = [[str(v.number), v.claim, v.tracker, v.found, words[v.holds]] for v in found]
-    return report.table(["", "claim", "tracker", "found", ""], rows, numbers=False)
 
 
 def _choice(result: Result) -> str:
@@ -181,22 +177,16 @@ def _in_short(cell: Row) -> str:
     )
 
 
-def _family(family: str, rows: Sequence[Row], result: Result) -> Iterable[str]:
+def _family(family: str, rows: Sequence[Row]) -> str:
     if family == "paper":
-        yield _paper(rows)
-        yield ""
-        yield _paper_failures(rows)
-        return
+        return report.page(_paper(rows), _paper_failures(rows))
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    yield "\n".join(f"* `{scene}`: {SCENES[scene].about}" for scene in scenes)
-    yield ""
-    yield _plain(rows)
-    if family == "births":
-        yield ""
-        yield _found(rows)
-    if family == "latency":
-        yield ""
-        yield _late(rows)
+    return report.page(
+        "\n".join(f"* `{scene}`: {SCENES[scene].about}" for scene in scenes),
+        report.table_of(COLUMNS, rows),
+        report.table_of(FOUND_COLUMNS, rows) if family == "births" else "",
+        _late(rows) if family == "latency" else "",
+    )
 
 
 def _paper(rows: Sequence[Row]) -> str:
@@ -224,67 +214,45 @@ def _rmse(row: Row | None) -> str:
     return f"{number(row['rmse_px']['mean'])} ± {number(0.5 * (high - low))}"
 
 
+def _when(quantile: str, of: str) -> Callable[[Row], str]:
+    return lambda row: "never" if math.isinf(row[of][quantile]) else number(row[of][quantile])
+
+
+FAILURE_COLUMNS = (
+    ("condition", "{scene}"),
+    ("tracker", "{tracker}"),
+    ("runs", "{runs}"),
+    ("swap", "{swap_fraction:.1p} %"),
+    ("lost", "{lost_fraction:.1p} %"),
+)
+COLUMNS: report.Columns = (
+    ("scene", "{scene}"),
+    *FAILURE_COLUMNS[1:3],
+    ("mean RMSE, px", _rmse),
+    ("median", "{rmse_px[median]:.2f}"),
+    *FAILURE_COLUMNS[3:],
+    ("GOSPA, px", "{gospa_px:.2f}"),
+    ("ms", "{ms_per_scan:.2f}"),
+)
+FOUND_COLUMNS: report.Columns = (
+    ("scene", "{scene}"),
+    ("tracker", "{tracker}"),
+    ("tracked", "{tracked_fraction:.1p} %"),
+    ("found in 0.5 s", "{found_in_half_a_second_fraction:.1p} %"),
+    ("median, s", _when("median", "find_s")),
+    ("95 %, s", _when("p95", "find_s")),
+    ("false a minute", "{false_tracks_per_min[mean]:.2f}"),
+    ("dropped in 1 s", "{dropped_in_a_second_fraction:.1p} %"),
+    ("latest, s", _when("max", "drop_s")),
+    ("switches a run", "{switches_per_run:.2f}"),
+)
+
+
 def _paper_failures(rows: Sequence[Row]) -> str:
     failed = [row for row in rows if row["swap_fraction"] or row["lost_fraction"]]
     if not failed:
         return "No swap and no loss in any of these runs."
-    return "Swaps and losses:\n\n" + report.table(
-        ["condition", "tracker", "runs", "swap", "lost"],
-        [
-            [
-                row["scene"],
-                row["tracker"],
-                str(row["runs"]),
-                _percent(row["swap_fraction"]),
-                _percent(row["lost_fraction"]),
-            ]
-            for row in failed
-        ],
-    )
-
-
-def _plain(rows: Sequence[Row]) -> str:
-    header = ["scene", "tracker", "runs", "mean RMSE, px", "median", "swap", "lost", "GOSPA, px", "ms"]
-    return report.table(
-        header,
-        [
-            [
-                row["scene"],
-                row["tracker"],
-                str(row["runs"]),
-                _rmse(row),
-                number(row["rmse_px"]["median"]),
-                _percent(row["swap_fraction"]),
-                _percent(row["lost_fraction"]),
-                number(row["gospa_px"]),
-                number(row["ms_per_scan"]),
-            ]
-            for row in rows
-        ],
-    )
-
-
-def _found(rows: Sequence[Row]) -> str:
-    header = ["scene", "tracker", "tracked", "found in 0.5 s", "median, s", "95 %, s", "false a minute"]
-    header += ["dropped in 1 s", "latest, s", "switches a run"]
-    return report.table(
-        header,
-        [
-            [
-                row["scene"],
-                row["tracker"],
-                _percent(row["tracked_fraction"]),
-                _percent(row["found_in_half_a_second_fraction"]),
-                _seconds(row["find_s"]["median"]),
-                _seconds(row["find_s"]["p95"]),
-                number(row["false_tracks_per_min"]["mean"]),
-                _percent(row["dropped_in_a_second_fraction"]),
-                _seconds(row["drop_s"]["max"]),
-                number(row["switches_per_run"]),
-            ]
-            for row in rows
-        ],
-    )
+    return f"Swaps and losses:\n\n{report.table_of(FAILURE_COLUMNS, failed)}"
 
 
 def _late(rows: Sequence[Row]) -> str:
@@ -296,49 +264,54 @@ def _late(rows: Sequence[Row]) -> str:
     )
 
 
+CLIP_COLUMNS: report.Columns = (
+    ("clip", "{clip}"),
+    ("tracker", "{tracker}"),
+    ("recall", "{score.recall:.3f}"),
+    ("precision", "{score.precision:.3f}"),
+    ("switches", "{score.switches}"),
+    ("centre RMSE, px", "{score.centre_rmse_px:.2f}"),
+    ("ms", "{ms:.2f}"),
+)
+
+
 def _clips(result: Result) -> str:
-    trackers = list(dict.fromkeys(row.tracker for row in result.clips))
     lines = []
-    for tracker in trackers:
+    for tracker in dict.fromkeys(row.tracker for row in result.clips):
         own = [row for row in result.clips if row.tracker == tracker]
         total = sum((row.score for row in own), ClipScore())
-        lines += [_clip_line(row.clip, tracker, row.score, row.ms) for row in own]
-        lines.append(_clip_line("total", tracker, total, sum(row.ms for row in own) / len(own)))
-    header = ["clip", "tracker", "recall", "precision", "switches", "centre RMSE, px", "ms"]
-    return (
-        "Each clip was looked at once by the shipped detector; every tracker has the agent's default parameters.\n\n"
-        + report.table(header, lines)
+        lines += [*own, ClipRow("total", tracker, total, sum(row.ms for row in own) / len(own))]
+    return report.page(
+        "Each clip was looked at once by the shipped detector; every tracker has the agent's default parameters.",
+        report.table_of(CLIP_COLUMNS, lines),
     )
 
 
-def _clip_line(clip: str, tracker: str, score: ClipScore, ms: float) -> list[str]:
-    return [
-        clip,
-        tracker,
-        number(score.recall, 3),
-        number(score.precision, 3),
-        str(score.switches),
-        number(score.centre_rmse_px),
-        number(ms),
-    ]
-
-
 def _ablation(result: Result) -> str:
-    scenes = list(dict.fromkeys(row["scene"] for row in result.ablation))
-    variants = list(dict.fromkeys(row["tracker"] for row in result.ablation))
+    scenes, variants = (
+        list(dict.fromkeys(row[of] for row in result.ablation)) for of in ("scene", "tracker")
+    )
     cells = by_cell(result.ablation)
-    lines = []
-    for variant in variants:
-        line = [variant]
-        for scene in scenes:
-            cell = cells[scene, variant]
-            line.append(
-                f"{number(cell['rmse_px']['median'])} ({100 * _failed(cell):.0f} %, {cell['ms_per_scan']:.1f} ms)"
-            )
-        lines.append(line)
-    runs = result.ablation[0]["runs"]
-    note = f"Median RMSE, px (share of runs with a swap or a loss, ms of a scan), {runs} runs:"
-    return f"{note}\n\n{report.table(['', *scenes], lines)}"
+
+    def cell(scene: str, variant: str) -> str:
+        row = cells[scene, variant]
+        return f"{number(row['rmse_px']['median'])} ({100 * _failed(row):.0f} %, {row['ms_per_scan']:.1f} ms)"
+
+    lines = [[variant, *(cell(scene, variant) for scene in scenes)] for variant in variants]
+    return report.page(
+        "Median RMSE, px (share of runs with a swap or a loss, ms of a scan), "
+        f"{result.ablation[0]['runs']} runs:",
+        report.table(["", *scenes], lines),
+    )
+
+
+BUDGET_COLUMNS = (
+    ("", "{tracker}"),
+    ("targets × detections", "{targets} × {detections}"),
+    ("median", "{ms:.3f}"),
+    ("least", "{least_ms:.3f}"),
+    ("repeats", "{repeats}"),
+)
 
 
 def _costs(result: Result) -> str:
@@ -346,44 +319,24 @@ def _costs(result: Result) -> str:
     for layout, words in (("crowded", "all targets in one gate"), ("spread", "each alone, 100 px apart")):
         own = [cost for cost in result.costs if cost.layout == layout]
         sizes = sorted({cost.targets for cost in own})
-        at = {(cost.tracker, cost.targets): cost.ms for cost in own}
-        trackers = list(dict.fromkeys(cost.tracker for cost in own))
+        at = {(cost.tracker, cost.targets): f"{cost.ms:.3g}" for cost in own}
         lines = [
-            [tracker, *(f"{at[tracker, n]:.3g}" if (tracker, n) in at else "" for n in sizes)]
-            for tracker in trackers
+            [tracker, *(at.get((tracker, n), "") for n in sizes)]
+            for tracker in dict.fromkeys(cost.tracker for cost in own)
         ]
-        parts += [f"Median ms of a scan, {words}, N targets and N detections:", ""]
-        parts += [report.table(["", *(f"N = {n}" for n in sizes)], lines), ""]
+        parts.append(f"Median ms of a scan, {words}, N targets and N detections:")
+        parts.append(report.table(["", *(f"N = {n}" for n in sizes)], lines))
     budgeted = [cost for cost in result.costs if cost.layout == "budget"]
     if budgeted:
-        parts += ["Beside the budgets (all in one gate), ms, median and least:", ""]
-        lines = [
-            [
-                c.tracker,
-                f"{c.targets} × {c.detections}",
-                number(c.ms, 3),
-                number(c.least_ms, 3),
-                str(c.repeats),
-            ]
-            for c in budgeted
-        ]
-        parts += [report.table(["", "targets × detections", "median", "least", "repeats"], lines), ""]
+        parts.append("Beside the budgets (all in one gate), ms, median and least:")
+        parts.append(report.table_of(BUDGET_COLUMNS, budgeted))
     if result.enumeration is not None:
         e = result.enumeration
-        parts += [
+        parts.append(
             f"Enumerating the {e.events:,} joint events of {e.targets} × {e.detections} would take {e.ms / 1e3:,.0f} s"
-            f" in Python, at the rate of the {e.timed_events:,} that were timed.",
-            "",
-        ]
+            f" in Python, at the rate of the {e.timed_events:,} that were timed."
+        )
     parts.append(
         f"A fixed piece of NumPy arithmetic takes {result.reference_ms:.3f} ms here: divide by it to compare machines."
     )
-    return "\n".join(parts)
-
-
-def _seconds(value: float) -> str:
-    return "never" if math.isinf(value) else number(value)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
+    return report.page(*parts)

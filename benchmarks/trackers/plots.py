@@ -11,7 +11,7 @@ import numpy as np
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.trackers.play import SMOOTHER, record
 from swarmtrack.benchmarks.trackers.programme import Result
-from swarmtrack.benchmarks.trackers.results import by_cell, rmse_over_time
+from swarmtrack.benchmarks.trackers.results import by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 
@@ -35,7 +35,6 @@ def draw(out: Path, result: Result) -> list[tuple[str, str]]:
     """Draws what the run has figures for; (file name, caption) of each."""
     drawn = []
     for name, caption, plot in (
-        ("time", "RMSE over time, over all runs and drones, in four of the paper's conditions", _over_time),
         (
             "conditions",
             "Error against clutter, noise and missed detections; crosses: the paper's figures",
@@ -44,13 +43,11 @@ def draw(out: Path, result: Result) -> list[tuple[str, str]]:
         ("trajectories", "One run of slow_merged: what two trackers make of the same scans", _trajectories),
         ("latency", "Error of `at(now)` against how late detections arrive", _latency),
         ("cost", "Processor time of a scan against the number of targets", _cost),
-        ("ablation", "The default tracker without one of its parts", _ablation),
     ):
         figure = plot(result)
         if figure is not None:
             file = f"trackers_{name}.png"
-            figure.savefig(out / file, dpi=DPI)
-            report.pyplot().close(figure)
+            report.save(figure, out / file, DPI)
             drawn.append((file, caption))
     return drawn
 
@@ -60,56 +57,23 @@ def _style(tracker: str) -> dict[str, Any]:
     return {**style, "linewidth": WIDTHS.get(tracker, 1.1)}
 
 
-def _over_time(result: Result) -> Any:
-    shown = [name for name in ("control", "noise.75", "pd.80", "clutter10") if _has(result, name)]
-    if not shown:
-        return None
-    figure, axes = report.pyplot().subplots(
-        len(shown), 1, figsize=(8.0, 1.9 * len(shown) + 0.6), sharex=True, squeeze=False, layout="constrained"
-    )
-    for name, panel in zip(shown, axes[:, 0], strict=True):
-        scene = SCENES[name]
-        for tracker in _trackers(result, name):
-            error = rmse_over_time(result.played[name, tracker])
-            panel.plot(
-                np.arange(len(error)) / scene.rate_hz,
-                np.maximum(error, 1e-3),
-                **_style(tracker),
-            )
-        panel.set(ylabel="RMSE, px", title=f"{name}: {scene.about}")
-        panel.title.set_fontsize("small")
-        panel.set_ylim(bottom=0.0)
-        panel.grid(alpha=0.25)
-    axes[-1, 0].set(xlabel="time, s", xlim=(0.0, None))
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize="small"
-    )
-    return figure
-
-
 def _conditions(result: Result) -> Any:
     sweeps = (
-        (
-            "false detections a scan",
-            [("control", 0.0), ("clutter1", 1.0), ("clutter5", 5.0), ("clutter10", 10.0)],
-        ),
-        ("noise σ, px", [("control", 0.0), ("noise.25", 0.5), ("noise.50", 1.0), ("noise.75", 1.5)]),
-        (
-            "P_D",
-            [("control", 1.0), ("pd.97", 0.97), ("pd.95", 0.95), ("pd.90", 0.9), ("pd.80", 0.8)],
-        ),
+        ("false detections a scan", {"control": 0.0, "clutter1": 1.0, "clutter5": 5.0, "clutter10": 10.0}),
+        ("noise σ, px", {"control": 0.0, "noise.25": 0.5, "noise.50": 1.0, "noise.75": 1.5}),
+        ("P_D", {"control": 1.0, "pd.97": 0.97, "pd.95": 0.95, "pd.90": 0.9, "pd.80": 0.8}),
     )
     if not all(_has(result, name) for name in CONDITIONS):
         return None
     cells = by_cell(result.rows)
     figure, axes = report.pyplot().subplots(1, 3, figsize=(11.0, 4.0), sharey=True, layout="constrained")
     for panel, (label, sweep) in zip(axes, sweeps, strict=True):
-        x = [value for _, value in sweep]
+        x = list(sweep.values())
         for tracker in _trackers(result, "control"):
-            y = [cells[name, tracker]["rmse_px"]["mean"] for name, _ in sweep]
+            y = [cells[name, tracker]["rmse_px"]["mean"] for name in sweep]
             panel.plot(x, y, marker=MARKERS.get(tracker), markersize=4, **_style(tracker))
         for tracker, figures in PUBLISHED_RMSE_PX.items():
-            places = [(value, figures[name]) for name, value in sweep if name in figures]
+            places = [(value, figures[name]) for name, value in sweep.items() if name in figures]
             panel.plot(
                 *np.array(places).reshape(-1, 2).T,
                 "x",
@@ -223,37 +187,6 @@ def _cost(result: Result) -> Any:
         panel.grid(alpha=0.25, which="both")
     axes[0].set_ylabel("a scan, ms of one core")
     axes[0].legend(fontsize="small")
-    return figure
-
-
-def _ablation(result: Result) -> Any:
-    if not result.ablation:
-        return None
-    scenes = list(dict.fromkeys(row["scene"] for row in result.ablation))
-    variants = list(dict.fromkeys(row["tracker"] for row in result.ablation))
-    cells = by_cell(result.ablation)
-    figure, axes = report.pyplot().subplots(
-        2,
-        len(scenes),
-        figsize=(2.7 * len(scenes) + 1.5, 5.2),
-        sharey=True,
-        squeeze=False,
-        layout="constrained",
-    )
-    place = np.arange(len(variants))[::-1]
-    for column, scene in enumerate(scenes):
-        median = [cells[scene, variant]["rmse_px"]["median"] for variant in variants]
-        failed = [100.0 * cells[scene, variant]["failed_fraction"]["value"] for variant in variants]
-        for panel, values, label, colour in (
-            (axes[0, column], median, "median RMSE, px", "tab:blue"),
-            (axes[1, column], failed, "swapped or lost, % of runs", "tab:red"),
-        ):
-            panel.barh(place, values, color=colour, alpha=0.75)
-            panel.set_xlabel(label, fontsize="small")
-            panel.set_yticks(place, variants, fontsize="small")
-            panel.grid(alpha=0.25, axis="x")
-        axes[1, column].set_xlim(0.0, max(5.0, 1.1 * max(failed)))
-        axes[0, column].set_title(scene)
     return figure
 
 

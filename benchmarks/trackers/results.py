@@ -105,10 +105,5 @@ def paired_ratio(above: Sequence[Score], below: Sequence[Score], *, median: bool
     return Interval(float(value), float(low), float(high))
 
 
-def rmse_over_time(scores: Sequence[Score]) -> Array:
-    """(k,) px: root of the mean over runs and targets of the squared error at each scan."""
-    return np.asarray(np.sqrt(np.nanmean([score.squared_error for score in scores], axis=0)))
-
-
 def by_cell(rows: Sequence[Row]) -> Mapping[tuple[str, str], Row]:
     return {(entry["scene"], entry["tracker"]): entry for entry in rows}

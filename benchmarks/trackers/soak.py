@@ -15,13 +15,12 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.command_line import add_common
+from swarmtrack.benchmarks.harness import Benchmark, amount
 from swarmtrack.benchmarks.processes import rss_mb
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
@@ -29,8 +28,6 @@ from swarmtrack.messages import Array, Track
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 
 NAME = "soak"
-SCANS = 1_000_000
-QUICK_SCANS = 4_000
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 TARGETS = 6
 WARM_UP_TENTHS = 2  # of the scans, after which memory must not grow
@@ -132,58 +129,41 @@ def _faults(tracks: Sequence[Track]) -> tuple[int, int, int]:
     return int((~finite).sum()), int((~positive).sum()), int((~sound).sum())
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_common(parser)
-
-
-def run(args: argparse.Namespace) -> None:
-    publish(args.out, scans=QUICK_SCANS if args.quick else SCANS)
-
-
-def publish(out: Path, *, scans: int = SCANS, trackers: Sequence[str] = tuple(TRACKERS)) -> dict[str, Any]:
-    """`scans` in all, shared by the trackers, each in a process of its own."""
-    each = scans // len(trackers)
-    with report.progress("soak", len(trackers)) as advance, ProcessPoolExecutor() as pool:
-        jobs = {name: pool.submit(endure, name, each) for name in trackers}
+def _measured(args: argparse.Namespace) -> list[Endurance]:
+    """The scans are shared by the trackers, each in a process of its own."""
+    with report.progress(NAME, len(TRACKERS)) as advance, ProcessPoolExecutor() as pool:
+        jobs = {name: pool.submit(endure, name, args.scans // len(TRACKERS)) for name in TRACKERS}
         rows = []
         for name, job in jobs.items():
             rows.append(job.result())
             advance(name)
-    result = {
-        "rows": [
-            {**asdict(row), "grown_mb": row.grown_mb, "grown_blocks": row.grown_blocks, "ok": row.ok}
-            for row in rows
-        ]
-    }
-    report.write(out, NAME, result, _markdown(rows))
-    return result
+    return rows
 
 
-def _markdown(rows: Sequence[Endurance]) -> str:
-    header = [
-        "tracker",
-        "scans",
-        "tracks looked at",
-        "not finite",
-        "not positive",
-        "no probability",
-        "memory, MB",
-        "blocks",
-        "",
-    ]
-    cells = [
-        [
-            row.tracker,
-            f"{row.scans:,}",
-            f"{row.tracks_seen:,}",
-            str(row.not_finite),
-            str(row.not_positive),
-            str(row.not_a_probability),
-            f"{row.grown_mb:+.1f}",
-            f"{row.grown_blocks:+,}",
-            "holds" if row.ok else "**fails**",
-        ]
-        for row in rows
-    ]
+def _record(rows: list[Endurance]) -> dict[str, Any]:
+    derived = ("grown_mb", "grown_blocks", "ok")
+    return {"rows": [{**asdict(row), **{name: getattr(row, name) for name in derived}} for row in rows]}
+
+
+COLUMNS: report.Columns = (
+    ("tracker", "{tracker}"),
+    ("scans", "{scans:,}"),
+    ("tracks looked at", "{tracks_seen:,}"),
+    ("not finite", "{not_finite}"),
+    ("not positive", "{not_positive}"),
+    ("no probability", "{not_a_probability}"),
+    ("memory, MB", "{grown_mb:+.1f}"),
+    ("blocks", "{grown_blocks:+,}"),
+    ("", lambda row: report.verdict(row.ok)),
+)
+
+
+def _page(rows: list[Endurance]) -> str:
     about = (__doc__ or "").split("\n", 2)[2].strip()
-    return f"# Soak\n\n{about}\n\n{report.table(header, cells)}"
+    return report.page("# Soak", about, report.table_of(COLUMNS, rows))
+
+
+BENCH = Benchmark(
+    NAME, _measured, _page, options=(amount("--scans", 1_000_000, 4_000, "in all"),), record=_record
+)
+add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -107,7 +107,7 @@ def test_every_benchmark_of_the_table_says_its_arguments_and_writes_by_its_name(
     with pytest.raises(SystemExit, match="0"):
         swarmtrack.main(["bench", name, "--help"])
     assert "--quick" in capsys.readouterr().out
-    assert name == import_module(BENCHMARKS[name][0]).NAME
+    assert name == import_module(BENCHMARKS[name][0]).BENCH.name
 
 
 def test_the_benchmarks_are_listed_without_importing_one():
@@ -122,7 +122,7 @@ def test_the_benchmarks_are_listed_without_importing_one():
 
 def test_a_folder_for_results_that_cannot_be_made_is_refused_before_any_work(tmp_path, capsys):
     (tmp_path / "a-file").touch()
-    assert swarmtrack.main(["bench", "agent", "--out", str(tmp_path / "a-file" / "bench")]) == 2
+    assert swarmtrack.main(["bench", "cost", "--out", str(tmp_path / "a-file" / "bench")]) == 2
     assert "expected a folder" in capsys.readouterr().err
 
 
@@ -151,7 +151,6 @@ def test_a_clip_runs_through_the_agent_and_is_reported(tmp_path):
     assert record["precision"] is None  # of no tracks at all: JSON knows no NaN
     assert len((out / "tracks" / "grey.jsonl").read_text(encoding="utf-8").splitlines()) == 15
     assert "| grey | 5 | 0.000 | – |" in (out / "clips.md").read_text(encoding="utf-8")
-    assert (out / "clips.png").stat().st_size > 1000
 
 
 def test_tracks_where_no_drone_is_are_counted_by_what_flies_there(tmp_path):
@@ -179,7 +178,7 @@ def test_drone_free_clips_are_those_that_a_training_holds_out(tmp_path):
 def test_an_agent_that_fails_is_quoted(tmp_path):
     grey_clip(tmp_path)
     with pytest.raises(BenchmarkError, match="p_detection"):
-        real_clips.publish(tmp_path / "out", tmp_path, settings={"tracker.p_detection": "7"})
+        real_clips.BENCH.publish(tmp_path / "out", data=tmp_path, set=["p_detection=7"])
 
 
 def test_the_gyro_keeps_a_turning_observer_s_tracks_where_the_drones_are(tmp_path):
@@ -190,12 +189,11 @@ def test_the_gyro_keeps_a_turning_observer_s_tracks_where_the_drones_are(tmp_pat
     assert result["no_gyro_over_gyro"]["value"] > 8.0
     assert result["rmse_px"]["still"]["value"] > 1.0  # noise of 1.5 px, carried on for 0.15 to 0.3 s
     assert result["untracked_share"]["rotating"] < 0.05
-    assert (tmp_path / "rotation.png").stat().st_size > 1000
 
 
 def test_a_seed_flies_the_same_flight_bit_for_bit():
     experiment = rotating_observer.Experiment(ends_s=rotating_observer.HOVER_S + 1.5)
-    first, second = (rotating_observer.fly(experiment, 3, "kalman", {}) for _ in range(2))
+    first, second = (rotating_observer.fly(experiment, "kalman", 3) for _ in range(2))
     for name in rotating_observer.CONDITIONS:
         assert np.array_equal(first[name].error, second[name].error, equal_nan=True)
         assert np.isfinite(first[name].error).any()

@@ -10,8 +10,9 @@ from swarmtrack.benchmarks import cost, cost_probe
 from swarmtrack.benchmarks.report import BenchmarkError
 
 
-def test_two_checkouts_are_probed_by_turns_and_compared(tmp_path):
-    result = cost.publish(tmp_path, cost.HERE, {"trackers": 3}, rounds=1)
+def test_two_checkouts_are_probed_by_turns_and_compared(tmp_path, monkeypatch):
+    monkeypatch.setattr(cost, "QUICK", {"trackers": 3})
+    result = cost.BENCH.publish(tmp_path, quick=True, beside=cost.HERE)
     assert result["here"].keys() == result["beside"].keys()
     assert "mbm, 2 settled tracks, ms" in result["here"]
     assert json.loads((tmp_path / "cost.json").read_text(encoding="utf-8"))["here"] == result["here"]

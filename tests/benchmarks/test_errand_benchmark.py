@@ -147,7 +147,7 @@ def test_a_rendered_flight_is_flown_once_and_not_compared(monkeypatch) -> None:
     assert list(benchmark.twins_of(Programme(seeds=9))) == [1, 5, 9]
     flight = dataclasses.replace(fly(programme, False, 1), nis=[1.0])  # which is judged after the first turns
     found = summary([flight], [])
-    page = benchmark._markdown(dataclasses.asdict(programme) | found)
+    page = benchmark._page(dataclasses.asdict(programme) | found)
     assert "drawn pictures, shipped detector" in page
     assert "highest probability of a wrong name" in page
     assert "turning" not in page

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from swarmtrack.benchmarks.first_command import Run, Usage, _Heard, _kind, _markdown, _summary, others_busy
+from swarmtrack.benchmarks.first_command import Run, Usage, _Heard, _kind, _page, _summary, others_busy
 
 
 def figures(rmse=1.8, wrong=0.0):
@@ -69,7 +69,7 @@ def test_all_runs_have_to_pass_and_to_fit():
 
 
 def test_the_table_has_a_row_for_each_scenario_and_says_beside_what():
-    text = _markdown({"busy": 2, "scenarios": {"crossing": _summary([run(), run(code=1, words="FAILED")])}})
+    text = _page({"busy": 2, "scenarios": {"crossing": _summary([run(), run(code=1, words="FAILED")])}})
     assert "| crossing | 1 of 2 |" in text
     assert "Beside 2 other processes" in text
     assert "crossing: PASSED: 1; FAILED: 1." in text

@@ -79,4 +79,4 @@ def test_rows_count_what_flights_say():
     assert (row["runs"], row["runs_below_1.5_m"], row["runs_with_a_lost_follower"]) == (3, 1, 1)
     assert row["min_separation_m"] == 1.4
     assert row["error_m"]["p50"] == pytest.approx(0.75)
-    assert "| star-3 | 3 | 0.75, 1.00 |" in benchmark._markdown({"rows": [row]})
+    assert "| star-3 | 3 | 0.75, 1.00 |" in benchmark._page({"rows": [row]})

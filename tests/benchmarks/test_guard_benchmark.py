@@ -3,7 +3,7 @@
 import math
 
 from swarmtrack.benchmarks import guard as benchmark
-from swarmtrack.benchmarks.guard import Cost, Flight, Told, cost, markdown, told_anything
+from swarmtrack.benchmarks.guard import Cost, Flight, Found, Told, cost, page, told_anything
 from swarmtrack.guard import Command, Guard
 
 
@@ -38,6 +38,6 @@ def test_a_guard_is_a_process_whose_set_points_arrive():
 
 def test_the_page_says_what_happened():
     flights = {"stopped": [Flight(0.01, 0.2, 0.0, 2.4), Flight(0.4, 1.0, 1.0, 7.5)]}
-    page = markdown(flights, Told(10, 9, 0), {"unsigned": Cost(0.002, 12.0, 0.5, 0.6)})
-    assert "| SIGTERM | 2 | 1 | 0.40 | 1.00 | 7.50 |" in page
-    assert "| unsigned | 0.20 | 12.00 | 0.50 | 0.60 |" in page
+    text = page(Found(flights, Told(10, 9, 0), {"unsigned": Cost(0.002, 12.0, 0.5, 0.6)}))
+    assert "| SIGTERM | 2 | 1 | 0.40 | 1.00 | 7.50 |" in text
+    assert "| unsigned | 0.20 | 12.00 | 0.50 | 0.60 |" in text

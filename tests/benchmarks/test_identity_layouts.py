@@ -120,7 +120,7 @@ def test_groups_of_different_parts_are_different_whatever_their_numbers():
 
 
 def test_the_benchmark_leaves_tables_and_plots_behind(tmp_path):
-    layouts.publish(tmp_path, layouts=2, processes=1)
+    layouts.BENCH.publish(tmp_path, layouts=2, processes=1)
     found = json.loads((tmp_path / "identity.json").read_text(encoding="utf-8"))
     assert len(found["cells"]) == 48 + 2 * 9
     assert all(cell["methods"]["posterior"]["duplicate"]["value"] == 0.0 for cell in found["cells"])

@@ -1,6 +1,6 @@
 """Names by motion alone: a flight is repeatable, names are right, and a liar is found."""
 
-from swarmtrack.benchmarks.motion import ROWS, STRANGER, page, summarise, trial
+from swarmtrack.benchmarks.motion import BENCH, ROWS, STRANGER, summarise, trial
 
 ROW = {row.name: row for row in ROWS}
 
@@ -19,6 +19,10 @@ def test_who_tells_another_motion_is_a_stranger_and_who_tells_another_s_has_its_
     assert spoofed.said <= spoofed.found < 20.0
     assert spoofed.accused == swapped.accused == set()
     assert swapped.names == {0: 1, 1: 0, 2: 2}
-    result = summarise(ROW["hover, two IDs swapped"], 3, [swapped])
-    assert (result.names, result.wrong) == (3, 0)
-    assert "| hover, two IDs swapped | 3 | 1 |" in page([result])
+    row = summarise(ROW["hover, two IDs swapped"], 3, [swapped])
+    assert (row["names"], row["wrong"]) == (3, 0)
+
+
+def test_the_page_has_a_row_for_each_way_to_fly_and_team(tmp_path):
+    BENCH.publish(tmp_path, seeds=1, teams=[2])
+    assert "| hover, two IDs swapped | 2 | 1 |" in (tmp_path / "motion.md").read_text(encoding="utf-8")

@@ -18,7 +18,7 @@ from swarmtrack.relative.parameters import RelativeParameters
 
 
 def test_the_table_has_a_row_for_each_kind_and_range(tmp_path):
-    result = relative.publish(tmp_path, 2, (10.0,), relative.MODES[:2], processes=1)
+    result = relative.BENCH.publish(tmp_path, seeds=2, ranges=[10.0], only=[1, 2], processes=1)
     assert [row["mode"] for row in result["rows"]] == [mode.words for mode in relative.MODES[:2]]
     written = json.loads((tmp_path / "relative.json").read_text(encoding="utf-8"))
     assert written["rows"][0]["rmse_m"] == result["rows"][0]["rmse_m"]
@@ -61,9 +61,9 @@ def test_a_state_is_compared_with_the_truth_along_and_across_the_ray():
     assert found.place.nees == pytest.approx(4.0 + 1.0 + 4.0 + 1.0)
 
 
-def test_in_a_whole_flight_the_range_is_within_a_tenth_whatever_is_known(tmp_path):
-    kinds = [kind for kind in relative_flights.KINDS if kind.scenario == "crossing"][:1]
-    result = relative_flights.publish(tmp_path, 1, kinds, processes=1)
+def test_in_a_whole_flight_the_range_is_within_a_tenth_whatever_is_known(tmp_path, monkeypatch):
+    monkeypatch.setattr(relative_flights, "KINDS", relative_flights.KINDS[:1])
+    result = relative_flights.BENCH.publish(tmp_path, seeds=1, processes=1)
     (row,) = result["rows"]
     assert row["states"] > 500
     assert row["range_error"]["p50"] < 0.1

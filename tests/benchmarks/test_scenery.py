@@ -80,7 +80,7 @@ def test_each_camera_of_a_drone_has_a_picture_of_its_own(monkeypatch):
 def test_a_scenario_that_is_not_there_is_refused_before_any_flight(tmp_path):
     pytest.importorskip("matplotlib", reason="plots are an extra")
     with pytest.raises(ConfigError, match='scenario "moon", expected one of'):
-        scenery.publish(tmp_path, scenery.Programme(), ["crossing", "moon"])
+        scenery.BENCH.publish(tmp_path, scenarios=["crossing", "moon"])
 
 
 def test_the_table_counts_long_ones_and_the_pictures_show_them(tmp_path, monkeypatch):
@@ -95,7 +95,8 @@ def test_the_table_counts_long_ones_and_the_pictures_show_them(tmp_path, monkeyp
     assert (row["standing"], row["standing_long"], row["standing_longest_s"]) == (2, 1, 3.0)
     assert row["standing_per_minute"] == 1.0
     assert row["precision"]["value"] == pytest.approx(0.66)
-    result = scenery.publish(tmp_path, short, ["hover-triangle"], processes=1)
+    monkeypatch.setattr(scenery, "SECONDS", 1.0)
+    result = scenery.BENCH.publish(tmp_path, seeds=1, scenarios=["hover-triangle"], processes=1)
     assert json.loads((tmp_path / "scenery.json").read_text(encoding="utf-8"))["seeds"] == 1
     assert list(result["scenarios"]) == ["hover-triangle"]
     picture = scenery.picture_of(short, "hover-triangle", 1, houses[0])

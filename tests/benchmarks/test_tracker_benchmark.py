@@ -346,7 +346,6 @@ def test_the_command_leaves_a_plain_list_a_page_and_plots(tmp_path, capsys):
     page = (tmp_path / "trackers.md").read_text()
     assert "## What must hold" in page
     assert "kalman" in page
-    assert (tmp_path / "trackers_time.png").exists()
     assert json.loads((tmp_path / "trackers_machine.json").read_text())["machine"]["cores"]
     assert "What must hold" in capsys.readouterr().out
 

@@ -450,8 +450,11 @@ def test_what_lies_beyond_the_search_is_unknown_and_changes_nothing():
     assert drone.camera_clock.used_s == 0.0
 
 
-def test_the_benchmark_writes_what_it_found(tmp_path):
-    result = time_offset.publish(tmp_path, seeds=2, seconds=12.0, names=("fast-yaw", "standing still"))
+def test_the_benchmark_writes_what_it_found(tmp_path, monkeypatch):
+    chosen = {name: time_offset.CONDITIONS[name] for name in ("fast-yaw", "standing still")}
+    for name, value in (("CONDITIONS", chosen), ("FIRST", "fast-yaw"), ("SECONDS", 12.0)):
+        monkeypatch.setattr(time_offset, name, value)
+    result = time_offset.BENCH.publish(tmp_path, seeds=2)
     turning, still = (result["by_condition"][name] for name in ("fast-yaw", "standing still"))
     assert turning["rms_ms"]["value"] < 2.0
     assert (turning["sure"], still["sure"], still["claimed"]) == (1.0, 0.0, 0.0)

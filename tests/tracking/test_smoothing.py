@@ -222,7 +222,7 @@ def test_a_lag_out_of_range_is_refused():
 
 
 def test_the_benchmark_of_the_lag_judges_both_at_the_same_places(tmp_path):
-    result = fixed_lag.publish(tmp_path, runs=2, tracker="kalman", scenes=["noise.75"])
+    result = fixed_lag.BENCH.publish(tmp_path, runs=2, tracker="kalman", scene=["noise.75"])
     (row,) = result["rows"]
     assert 1.4 < row["at_once_px"] < 2.0
     assert 0.5 < row["ratio"]["value"] < 0.7

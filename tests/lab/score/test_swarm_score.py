@@ -540,8 +540,9 @@ def test_the_benchmark_pools_views_and_names_the_worst_run(tmp_path, monkeypatch
         )
 
     monkeypatch.setattr(swarm_runs, "fly", fly)
-    programme = swarm_runs.Programme(scenarios=("crossing",), seeds=3, sizes=(3, 30))
-    result = swarm_runs.publish(tmp_path, programme, tracker="mbm")
+    monkeypatch.setattr(swarm_runs, "SCENARIOS", ("crossing",))
+    monkeypatch.setattr(swarm_runs, "USUAL", swarm_runs.Programme(sizes=(3, 30)))
+    result = swarm_runs.BENCH.publish(tmp_path, seeds=3)
     crossing = result["recognition"]["crossing"]
     assert (crossing["runs"], crossing["passed"], crossing["samples"]) == (2, 1, 500)
     assert crossing["wrong"] == pytest.approx(0.01 * 100 / 500)
