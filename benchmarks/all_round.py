@@ -16,16 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmtrack.benchmarks.harness import (
-    PROCESSES,
-    TRACKER,
-    Flights,
-    Row,
-    scenarios,
-    seeds,
-    share,
-    shares,
-)
+from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, Row, scenarios, seeds, share, shares
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario

@@ -10,8 +10,6 @@ Nobody measured the real drones of `--clips`. There the width of the label stand
 the sky where that is smooth (`dataset.cut_out`). The errors that a model should state are the larger ones of drawn
 drones and of real ones beside what is visible (without `--clips`: those of the default).
 
-    swarmtrack bench box-width [--model FILE] [--second-stage FILE] [--clips DATA] [--write] --out DIR
-
 Ranges are off, where the width alone tells them and an agent believes what is fitted here, by a mean over drones, by a
 scatter from drone to drone, and by one within a flight, all of their logarithm. --write writes what is to be stated
 into the file that widths are of: the second stage's where that tells spans.
@@ -32,16 +30,7 @@ import numpy as np
 
 from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import (
-    PROCESSES,
-    SECOND_STAGE,
-    Benchmark,
-    flag,
-    flown,
-    option,
-    path,
-    seeds,
-)
+from swarmtrack.benchmarks.harness import PROCESSES, SECOND_STAGE, Benchmark, flag, flown, option, path, seeds
 from swarmtrack.benchmarks.trackers.clips import frames
 from swarmtrack.calibration.box_width import (
     FEWEST_OF_DRONE,

@@ -6,8 +6,6 @@ The rendered frames go through the same functions as those of `swarmtrack calibr
 
 *Intrinsics*: 40 views of a board, rendered through a camera with known numbers, go through those of
 `swarmtrack calibrate intrinsics`: found, chosen, fitted.
-
-    swarmtrack bench calibration [--seeds 20] --out DIR
 """
 
 from __future__ import annotations
@@ -196,10 +194,7 @@ def _page(result: dict[str, Any]) -> str:
     rows = [["rotation, °", *by_hand[0]], ["offset, ms", *by_hand[1]]]
     return report.page(
         "# Calibration",
-        report.table(
-            ["by hand", "RMS", "worst", "σ claimed"],
-            rows,
-        ),
+        report.table(["by hand", "RMS", "worst", "σ claimed"], rows),
         f"{e['within']} of {e['seeds']} turns within {WITHIN_DEG:g}° and {1e3 * WITHIN_S:g} ms, "
         f"{e['believed']} of them believed.",
         report.table_of(

@@ -17,8 +17,6 @@ Two drones are told apart where both labels are hit; their distance is in mean s
 own.
 
 The fit is that of the trackers' `measurement_noise`: σ² = floor² + side² (size_noise² + (score_noise (1 − s) / s)²).
-
-    swarmtrack bench detection-noise DATA --out DIR
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
 """How good a detector is: on labelled images and clips, by scene, size and distractor, and what a frame costs.
 
-    swarmtrack bench detector MODEL DATA [--input-scale 1.5] [--scene NAME ...] [--every N] [--motion]
-        [--scenario NAME ...] [--frames-of CLIPS] --out DIR
-
 DATA holds labelled images (see `swarmtrack.training.labelled_images`), or pairs NAME.mp4 and NAME_gt.csv in it or in
 `tracks/`, or both. With --frames-of, frames of other clips count as images: of the scenes of --scene, and with
 --held-out-negatives of drone-free clips that a training holds out. The images count as one set, the clips as another,
@@ -20,19 +17,19 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import SECOND_STAGE, Benchmark, flag, listed, option, path
 from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.trackers.clips import frames
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score import detector_score
-from swarmtrack.lab.score.detector_score import EMPTY, Matches, ScoredImage, by_centre, match
+from swarmtrack.lab.score.detector_score import EMPTY, ScoredImage, by_centre, match
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
@@ -52,7 +49,6 @@ TIMED = ((320, 256), (640, 480))  # px
 REPEATS, QUICK_REPEATS = 60, 10
 QUICK_EVERY = 16
 OBSERVERS, FLIGHT_FROM_S, FLIGHT_S = 2, 4.0, 8.0  # of a scenario: who looks, from when on, for how long
-CURVE = 200  # points of a plotted curve
 
 
 class Sets(NamedTuple):
@@ -63,8 +59,6 @@ class Sets(NamedTuple):
 
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
-    """detector.png into `args.out`, too."""
-    report.pyplot()  # before the work, not after it, should it be missing
     detector = Detector(
         args.model,
         score_threshold=LOWEST,
@@ -86,7 +80,7 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     main = images if any(len(look.drones) for look in images) else clips
     matches = match(main, by_centre)
     sure = matches.threshold_of(SURE_RECALL)
-    result: dict[str, Any] = {
+    return {
         "model": args.model,
         "source": detector.description.source,
         "head": detector.description.head,
@@ -104,8 +98,6 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
         "ms_per_frame": _times(args.model, args.second_stage, QUICK_REPEATS if args.quick else REPEATS),
         "file_mb": _size_mb(detector),
     }
-    _plot(args.out / f"{NAME}.png", matches, result)
-    return result
 
 
 def _size_mb(detector: Detector) -> float:
@@ -225,20 +217,12 @@ def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterat
 def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[ScoredImage]:
     """Each `every`-th frame of a clip, with its labels."""
     truth = read_truth(clip.truth)
-    video = cv2.VideoCapture(str(clip.video))
-    try:
-        for index in range(clip.frames):
-            alive, image = video.read()
-            if not alive:
-                break
-            if index % every == 0:
-                t = index / clip.fps
-                seen = _detect(detector, np.asarray(image, np.uint8), t, _StandsStill())
-                boxes = truth.get(index)
-                drones = EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
-                yield ScoredImage(seen, drones)
-    finally:
-        video.release()
+    for frame in frames(clip):
+        if frame.sequence % every == 0:
+            seen, boxes = _detect(detector, frame.image, frame.t, _StandsStill()), truth.get(frame.sequence)
+            yield ScoredImage(
+                seen, EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
+            )
 
 
 # --- counting -----------------------------------------------------------------------------------------
@@ -356,36 +340,6 @@ def _page(result: dict[str, Any]) -> str:
 
 def _percent(share: float | None) -> str:
     return "–" if share is None else f"{100 * share:.0f} %"
-
-
-def _plot(path: Path, matches: Matches, result: dict[str, Any]) -> None:
-    figure, (left, right, third) = report.pyplot().subplots(1, 3, figsize=(13, 4), layout="constrained")
-    hits, false = np.cumsum(matches.hit), np.cumsum(~matches.hit)
-    recall = hits / max(matches.drones, 1)
-    left.plot(*_thinned(recall, hits / np.maximum(hits + false, 1)))
-    left.set(
-        xlabel="recall", ylabel="precision", xlim=(0, 1.01), ylim=(0, 1.01), title="precision and recall"
-    )
-    right.plot(*_thinned(np.maximum(false, 0.5) / max(matches.images, 1), recall))
-    right.set(xscale="log", xlabel="false detections per image", ylabel="recall", ylim=(0, 1.01))
-    right.set_title("what recall costs")
-    for at in (0.1, 1.0):
-        right.axvline(at, color="0.8", zorder=0)
-    names = [f"{entry['low']:g}–{entry['high']:g}" for entry in result["by_size"]]
-    third.bar(names, [entry["recall"] for entry in result["by_size"]], color="C0")
-    for i, entry in enumerate(result["by_size"]):
-        third.annotate(str(entry["drones"]), (i, 0.01), ha="center", color="white")
-    third.set(xlabel="longer side of the label, px (drones in white)", ylabel="recall", ylim=(0, 1.01))
-    third.set_title(f"recall by size, at {result['threshold']:g}")
-    report.save(figure, path, dpi=120)
-
-
-def _thinned(x: Array, y: Array) -> tuple[Array, Array]:
-    if len(x) <= CURVE:
-        return x, y
-    # The best detections matter most.
-    rows = np.unique(np.geomspace(1, len(x), CURVE).round().astype(int)) - 1
-    return x[rows], y[rows]
 
 
 BENCH = Benchmark(

@@ -5,8 +5,6 @@ it starts is found. CPU time is what the kernel counts of them, in flight (betwe
 world time) and from the start to the end. With `--busy N` other processes keep so many cores busy meanwhile. They are
 of the same session, as what is started from one terminal: to Linux, other sessions as a whole would get no more than
 this one.
-
-    swarmtrack bench first-command [--runs N] [--scenarios NAME …] [--busy N] --out DIR
 """
 
 from __future__ import annotations
@@ -14,7 +12,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
 import re
 import secrets
 import sys
@@ -31,11 +28,12 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import Benchmark, amount, option, scenarios
-from swarmtrack.benchmarks.processes import cpu_seconds
+from swarmtrack.benchmarks.processes import OURS, cpu_seconds, module_process
 from swarmtrack.benchmarks.report import BenchmarkError
 
 NAME = "first-command"
 SCENARIOS = ("hover-triangle", "formation-3", "crossing")
+STOP_S = 20.0  # s that a flight which is broken off has to end
 LOOK_S = 0.2  # s between two looks at what the processes have used
 IN_FLIGHT = re.compile(r"^ *\d+ s  ")
 # What the command line of each kind of process holds, the first that fits.
@@ -147,32 +145,21 @@ async def fly_once(scenario: str, *words: str) -> Run:
     with tempfile.TemporaryDirectory() as folder:
         figures = Path(folder) / "verdict.json"
         began, mark = time.monotonic(), secrets.token_hex(8)
-        process = await asyncio.create_subprocess_exec(
-            *(
-                sys.executable,
-                "-m",
-                "swarmtrack.agents.main",
-                "sim",
-                scenario,
-                "--json",
-                str(figures),
-                *words,
-            ),
-            stdout=asyncio.subprocess.PIPE,
-            stderr=asyncio.subprocess.STDOUT,
-            env={**os.environ, MARK: mark},
-        )
-        usage = Usage(f"{MARK}={mark}".encode())
-        watching = asyncio.create_task(_watch(usage))
-        heard = _Heard(usage, began)
-        try:
-            assert process.stdout is not None
-            async for line in process.stdout:
-                heard.line(line.decode(errors="replace").rstrip())
-            code = await process.wait()
-        finally:
-            watching.cancel()
-            await asyncio.gather(watching, return_exceptions=True)
+        words = (OURS, "sim", scenario, "--json", str(figures), *words)
+        async with module_process(
+            *words, stderr=asyncio.subprocess.STDOUT, environment={MARK: mark}, patience_s=STOP_S
+        ) as process:
+            usage = Usage(f"{MARK}={mark}".encode())
+            watching = asyncio.create_task(_watch(usage))
+            heard = _Heard(usage, began)
+            try:
+                assert process.stdout is not None
+                async for line in process.stdout:
+                    heard.line(line.decode(errors="replace").rstrip())
+                code = await process.wait()
+            finally:
+                watching.cancel()
+                await asyncio.gather(watching, return_exceptions=True)
         if not figures.exists():
             raise BenchmarkError(f"swarmtrack sim {scenario} ended with {code}:\n{heard.last}")
         took = time.monotonic() - began

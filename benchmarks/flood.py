@@ -3,8 +3,6 @@
 Three processes on loopback: the one that is measured (this one), a friend that announces itself five times a second,
 and a member that sends ten thousand messages a second of one sort. All sign with Ed25519, and all signatures are
 checked. A task that wants to wake every 5 ms tells the lag of the loop.
-
-    swarmtrack bench flood [--quick] --out DIR
 """
 
 from __future__ import annotations

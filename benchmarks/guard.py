@@ -3,8 +3,6 @@
 Real agents with real guards, each with a simulated ArduCopter that answers set points as a real one was measured to
 (`lab/world/response.py`), over UDP in real time. The law flies north at 2.5 m/s; then one thing happens. Also what a
 guard costs: its share of a core, its memory, and the time from a decision to its set point at the autopilot's socket.
-
-    swarmtrack bench guard [--runs N] [--cases NAME …] [--quick] --out DIR
 """
 
 from __future__ import annotations
@@ -16,11 +14,10 @@ import os
 import random
 import signal
 import socket
-import sys
 import tempfile
 import time
 from collections.abc import AsyncIterator, Callable, Iterable
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +29,7 @@ from swarmtrack.autopilot.mavlink_autopilot import WayToAutopilot
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import Benchmark, amount, some_of
 from swarmtrack.benchmarks.lone_agent import free_udp_port
-from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
+from swarmtrack.benchmarks.processes import cpu_seconds, module_process, rss_mb
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.guard import SLACK, Decision, Guard
@@ -220,17 +217,9 @@ async def flying_agent(sky: Sky, speed: float) -> AsyncIterator[asyncio.subproce
         config = Path(folder) / "drone.toml"
         config.write_text(CONFIG.format(port=sky.port))
         async with sky.served():
-            agent = await asyncio.create_subprocess_exec(
-                *(sys.executable, "-m", "swarmtrack.benchmarks.guarded_agent", str(config), str(speed)),
-                stdout=asyncio.subprocess.DEVNULL,
-                stderr=asyncio.subprocess.DEVNULL,
-            )
-            try:
+            words = ("swarmtrack.benchmarks.guarded_agent", str(config), str(speed))
+            async with module_process(*words, stderr=asyncio.subprocess.DEVNULL) as agent:
                 yield agent
-            finally:
-                with suppress(ProcessLookupError):
-                    agent.kill()
-                await agent.wait()
 
 
 async def engage(sky: Sky, speed: float) -> None:

@@ -9,9 +9,6 @@ these the team knows nothing. Its configs state `--sigma` metres for every start
 * surest: the highest probability that was stated with a wrong name.
 * said: of the drones concerned, those that said that their own start or heading is wrong; after: seconds from when the
   first teammate came into their view, median and most. Falsely: drones that said so and are right.
-
-    swarmtrack bench misconfigured [--seeds 100] [--scenarios crossing …] [--rows pads …] [--sigma 0.1] [--share 7]
-        --out DIR
 """
 
 from __future__ import annotations

@@ -13,7 +13,6 @@ import asyncio
 import re
 import secrets
 import shutil
-import sys
 import time
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple
@@ -23,7 +22,7 @@ import numpy as np
 from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks.figures import Figure
 from swarmtrack.benchmarks.lone_agent import CAMERA, scripted_agent
-from swarmtrack.benchmarks.processes import cpu_seconds
+from swarmtrack.benchmarks.processes import OURS, cpu_seconds, module_process
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import SystemClock
@@ -129,29 +128,24 @@ async def _page(url: str) -> Any:
 async def measure_page(seconds: float) -> tuple[float, float, float, float]:
     """Thirty drones: animation frames, states and pictures a second, and the monitor's CPU in % of a core."""
     team = f"bench-{secrets.token_hex(4)}"
-    async with scripted_team(team, DRONES):
-        process = await asyncio.create_subprocess_exec(
-            *(sys.executable, "-m", "swarmtrack.agents.main", "monitor", "--team", team, "--port", "0"),
-            stdout=asyncio.subprocess.PIPE,
-        )
-        try:
-            assert process.stdout is not None
-            found = re.search(r"http\S+", (await process.stdout.readline()).decode())
-            assert found is not None, "the monitor prints its address"
-            async with _page(found[0]) as page:
-                await page.wait_for_function(
-                    "n => document.querySelectorAll('#matrix .seen').length > n", arg=DRONES
-                )
-                # Down to the matrix: there the pictures are out of sight, and nobody sends any.
-                await page.evaluate("document.querySelector('#low').scrollIntoView()")
-                await asyncio.sleep(2.0)
-                used, began = cpu_seconds(process.pid), time.monotonic()
-                frames, states, pictures = await page.evaluate(MEASURE_RAF, seconds)
-                share = (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
-                return frames, states, pictures, 100.0 * share
-        finally:
-            process.terminate()
-            await process.wait()
+    async with (
+        scripted_team(team, DRONES),
+        module_process(OURS, "monitor", "--team", team, "--port", "0", patience_s=10.0) as process,
+    ):
+        assert process.stdout is not None
+        found = re.search(r"http\S+", (await process.stdout.readline()).decode())
+        assert found is not None, "the monitor prints its address"
+        async with _page(found[0]) as page:
+            await page.wait_for_function(
+                "n => document.querySelectorAll('#matrix .seen').length > n", arg=DRONES
+            )
+            # Down to the matrix: there the pictures are out of sight, and nobody sends any.
+            await page.evaluate("document.querySelector('#low').scrollIntoView()")
+            await asyncio.sleep(2.0)
+            used, began = cpu_seconds(process.pid), time.monotonic()
+            frames, states, pictures = await page.evaluate(MEASURE_RAF, seconds)
+            share = (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
+            return frames, states, pictures, 100.0 * share
 
 
 def measured(args: argparse.Namespace) -> list[Figure]:

@@ -9,8 +9,6 @@ A name is given where its probability over all matchings exceeds 0.999; a track 
 lie is found out where the liar's track is called a stranger, or by its right name. It is said already where motion
 alone speaks as surely against the name that the drone claims, which is what an agent tells; who did not lie and of whom
 that is said is accused.
-
-    swarmtrack bench motion [--seeds 60] [--teams 3 5 10] --out DIR
 """
 
 from __future__ import annotations

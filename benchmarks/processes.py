@@ -6,22 +6,39 @@ import asyncio
 import os
 import subprocess
 import sys
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import swarmtrack
 
+OURS = "swarmtrack.agents.main"
+"""The module of all our commands."""
+
 
 @asynccontextmanager
-async def module_process(*words: str) -> AsyncIterator[asyncio.subprocess.Process]:
-    """`python -m WORDS…` with its stdin and stdout in our hands; killed when the block ends."""
+async def module_process(
+    *words: str,
+    stderr: int | None = None,
+    environment: Mapping[str, str] | None = None,
+    patience_s: float = 0.0,
+) -> AsyncIterator[asyncio.subprocess.Process]:
+    """`python -m WORDS…` with its stdin and stdout in our hands. When the block ends it is killed, or gets SIGTERM and
+    so many seconds to end; environment: more of it."""
     process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", *words), stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE
+        *(sys.executable, "-m", *words),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=stderr,
+        env=agent_environment() | dict(environment or {}),
     )
     try:
         yield process
     finally:
+        with suppress(ProcessLookupError, TimeoutError):
+            if patience_s:
+                process.terminate()
+                await asyncio.wait_for(process.wait(), patience_s)
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
@@ -35,7 +52,7 @@ def agent_environment() -> dict[str, str]:
 
 def our_command(*words: str) -> str:
     """`swarmtrack WORDS…`, whatever comes of it; returns what it said."""
-    command = [sys.executable, "-m", "swarmtrack.agents.main", *words]
+    command = [sys.executable, "-m", OURS, *words]
     done = subprocess.run(command, env=agent_environment(), capture_output=True, text=True, check=False)
     return done.stdout + done.stderr
 

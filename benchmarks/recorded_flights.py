@@ -1,7 +1,5 @@
 """What a recording is worth: how much a killed agent loses of it, and how fast it is flown again, bit for bit.
 
-    swarmtrack bench recording
-
 A real agent with a played autopilot and a scripted camera is ended by SIGKILL at moments chosen by chance; lost is what
 lies between that moment and the last record that can be read. Then `swarmtrack sim` records a minute of three drones,
 and `swarmtrack replay` flies it again: one drone alone, all three, and all with their verdict. Times are those of the

@@ -4,8 +4,6 @@ Teammates wander around an observer that hovers or circles, at a given range at 
 teammates may say beside it, has the errors that were measured on real frames. Truth is simulated here, apart from the
 filter; the bound is the posterior Cramér-Rao bound along the true flight.
 
-    swarmtrack bench relative [--seeds 100] [--ranges 3 10 40] [--processes N] --out DIR
-
 * range error: rms of ln(range / truth) in the second half of a flight.
 * NEES / 6: squared error of position and velocity over the stated covariance; 1 is honest, with its 95 % interval over
   flights.

@@ -3,8 +3,6 @@
 Scenarios in the virtual swarm. Every state that bears a name is compared with the truth at the exposure, whether the
 name is right or not.
 
-    swarmtrack bench relative-flights [--seeds 20] [--scenarios crossing …] [--processes N] --out DIR
-
 Simulated autopilots are better than agents are told that autopilots are: their headings are within 1° in flight where
 1.5° (one sigma) is stated. In rows *errors as stated* each drone has lasting errors of heading, tilt and place beside,
 drawn such that all together they are as large as what is stated.

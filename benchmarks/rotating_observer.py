@@ -9,8 +9,6 @@ acceleration_psd raised so far that it takes the swing for the targets' own moti
 The error of a condition is the root of the mean squared distance, over all instants and drones in view that have a
 track; tracks and drones are matched one to one by the least total distance, without a limit, so a wild track is
 not forgiven. What has no track at all is not in it, and stands beside it as the share not tracked.
-
-    swarmtrack bench rotation [--seeds 100] [--tracker kalman] --out DIR
 """
 
 from __future__ import annotations
@@ -159,13 +157,7 @@ def _sense(scenario: Scenario, e: Experiment) -> Sensed:
 
 
 def _track(
-    scenario: Scenario,
-    sensed: Sensed,
-    e: Experiment,
-    tracker: str,
-    parameters: dict[str, Any],
-    *,
-    gyro: bool,
+    scenario: Scenario, sensed: Sensed, e: Experiment, tracker: str, parameters: dict[str, Any], *, gyro: bool
 ) -> Run:
     """Feed one Onboard in the order of arrival, and ask it at every instant what holds now."""
     follower = create_tracker(tracker, camera=scenario.camera, **parameters)

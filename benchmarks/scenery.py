@@ -4,8 +4,6 @@ Every drone of a scenario looks at drawn pictures with the detector of an agent,
 confirmed tracks are set beside the truth ten times a second, as `swarmtrack sim` does. Nothing moves in these worlds
 but drones. So a track in the picture that is on none of them, seen or hidden, is on something that stands still.
 
-    swarmtrack bench scenery [--seeds 20] [--scenarios NAME ...] [--fps 7] [--one-world] --out DIR
-
 * standing: such tracks, by how long they were confirmed. scenery.png shows what the longest of them were on.
 * recall, precision: of (observer, drone in view, tenth of a second) those with a confirmed track; of all confirmed
   tracks in the picture, those on a drone.

@@ -8,8 +8,6 @@ second camera is turned by `off` about an axis drawn by chance, of which the tra
 * doubles: s per minute in which a drone has another confirmed track beside its own.
 * found: how far rays at the seam are off in the end (median and 95 % over flights), and after how many crossings. How
   the second camera is turned about such a ray itself does not show there.
-
-    swarmtrack bench seams [--seeds 40] [--tracker mbm] --out DIR
 """
 
 from __future__ import annotations

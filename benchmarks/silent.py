@@ -4,8 +4,6 @@ One observer looks at N teammates at 5 to 20 m that hold their places in the win
 shipped tracker, misses, clutter and boxes that merge. Everybody's place in the file is off by `slots` metres per axis,
 or nobody's place is known. Where codes are flown, they begin `CODE_S` after the observer began to look.
 
-    swarmtrack bench silent [--seeds 60] [--drones 3 5 10] [--processes N] --out DIR
-
 * all named: seconds from the beginning of the code (of the look, where there is none) until each teammate has had its
   right name; infinite where one had not within `SECONDS`.
 * named: the share of teammates that bear their right name at the end.
@@ -24,16 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.arguments import count
-from swarmtrack.benchmarks.harness import (
-    PROCESSES,
-    TRACKER,
-    Flights,
-    Row,
-    option,
-    quantile,
-    seeds,
-    share,
-)
+from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, Row, option, quantile, seeds, share
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.lab.scenarios.scenario import (

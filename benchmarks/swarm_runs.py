@@ -5,8 +5,6 @@ Two experiments, every run with real processes, one run after the other because 
 * recognition: four drones that cross, hide behind each other and swing their views; many seeds, oracle detector.
 * size: the same scenario and the same rates with 3, 10 and 30 drones: how long from the last agent's start until all
   have everybody's announcement, and what an agent sends for it, its memory and its share of a core.
-
-    swarmtrack bench swarm [--seeds 20] [--scenarios NAME …] --out DIR
 """
 
 from __future__ import annotations

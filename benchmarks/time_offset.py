@@ -8,8 +8,6 @@ stands still, each seed flies with one of the five.
 
 Beside each stands what an estimator could reach that knew where all targets truly are, so that the pixels' noise
 alone was left. Nobody can: a target moves as it likes, and slow turns look like a target's own motion.
-
-    swarmtrack bench offset [--seeds 100] --out DIR
 """
 
 from __future__ import annotations

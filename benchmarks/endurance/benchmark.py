@@ -1,7 +1,5 @@
 """Half an hour in the air: does anything grow, fall behind or get lost?
 
-    swarmtrack bench endurance --minutes 30 --out DIR
-
 `swarmtrack sim` flies three drones that look at each other, with monitor and recording and with a viewer who looks at
 all of them. Every ten seconds every process' memory and CPU are read, and with them what the agents say of themselves:
 how late their event loops were, how many IMU samples came and how many should have, how often they saw and spoke.

@@ -11,7 +11,6 @@ import json
 import math
 import os
 import re
-import sys
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable
@@ -24,7 +23,7 @@ from typing import Any
 import aiohttp
 
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, AgentWindow, ViewerWindow, Window
-from swarmtrack.benchmarks.processes import agent_environment, cpu_seconds, rss_mb
+from swarmtrack.benchmarks.processes import OURS, cpu_seconds, module_process, rss_mb
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.clock import SystemClock
 from swarmtrack.recording.reader import FLIGHT_PLAN, recordings_below
@@ -76,26 +75,15 @@ async def flying(folder: Path, seconds: float, tracker: str) -> AsyncIterator[Sw
         str(seconds),
     ]
     options += ["--monitor", "--record", str(folder / RECORDING), "--json", str(folder / "verdict.json")]
-    launcher = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "swarmtrack.agents.main", "sim", *options),
-        stdin=asyncio.subprocess.DEVNULL,
-        stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.STDOUT,
-        env=agent_environment(),
-    )
-    swarm = Swarm(launcher)
-    listening = asyncio.create_task(_listen_to(swarm))
-    try:
-        yield swarm
-    finally:
-        if launcher.returncode is None:
-            launcher.terminate()  # it ends its children in order
-            try:
-                await asyncio.wait_for(launcher.wait(), STOP_S)
-            except TimeoutError:
-                launcher.kill()  # the reaper ends the children
-                await launcher.wait()
-        listening.cancel()
+    async with module_process(
+        OURS, "sim", *options, stderr=asyncio.subprocess.STDOUT, patience_s=STOP_S
+    ) as launcher:
+        swarm = Swarm(launcher)
+        listening = asyncio.create_task(_listen_to(swarm))
+        try:
+            yield swarm
+        finally:
+            listening.cancel()
 
 
 async def _listen_to(swarm: Swarm) -> None:

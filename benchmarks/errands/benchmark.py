@@ -5,8 +5,6 @@ camera stamps late by another time, −80 … 80 ms. Every `TWIN_EVERY`th flight
 late their cameras stamp: what the price of not knowing it is. `--rendered` flies small teams at few frames per second,
 once: every frame is drawn, with houses, poles and trees all around, and the agent's own detector looks at it.
 
-    swarmtrack bench errand [--seeds 100] [--drones 2 3 4] [--no-ghosts] [--rendered] [--processes N] --out DIR
-
 * adopted: each value that a camera clock settled on because it was found. Off: further than 3 of its own σ then.
 * found: seconds from the drone's first turn until what is used is within 3 ms of the truth, and stays so to the end.
 * turning, calm: distance of the true drone to the nearest track within `NEAR_PX`, root mean square, by whether the
@@ -27,14 +25,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.errands.judge import SIGMAS, FlightJudge, FlightRecord
+from swarmtrack.benchmarks.errands.judge import FlightJudge, FlightRecord
 from swarmtrack.benchmarks.harness import (
     PROCESSES,
     TRACKER,
@@ -107,8 +104,6 @@ def _eyes(scenario: Scenario) -> Eyes:
 
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
-    """Fly everything; errand.png into `args.out`, too."""
-    report.pyplot()  # before the work, not after it, should it be missing
     drones = tuple(args.drones or (RENDERED_DRONES if args.rendered else DRONES))
     p = Programme(
         seeds=args.seeds,
@@ -121,7 +116,6 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     for told, numbers in ((False, range(1, p.seeds + 1)), (True, twins_of(p))):
         words = "clocks told" if told else "clocks to be found"
         found += flown(NAME, [(words, partial(fly, p, told))], numbers, processes=args.processes)
-    _plot(args.out / f"{NAME}.png", found[0])
     return {**asdict(p), **summary(*found)}
 
 
@@ -254,27 +248,6 @@ def _page(result: dict[str, Any]) -> str:
         f"`{result['tracker']}`; cameras that stamp late by −80 … 80 ms. 95 % intervals over flights.",
         report.table(["", "found", "to hold"], cells),
     )
-
-
-def _plot(path: Path, flights: Sequence[FlightRecord]) -> None:
-    """Errors of adopted offsets against their own sigma, and how soon names and offsets come."""
-    figure, (left, right) = report.pyplot().subplots(1, 2, figsize=(10, 4), layout="constrained")
-    adopted = [a for flight in flights for clock in flight.clocks.values() for a in clock.adopted]
-    sigmas, errors = 1e3 * np.array([(a.sigma_s, a.error_s) for a in adopted]).reshape(-1, 2).T
-    left.plot(sigmas, errors, ".", markersize=3)
-    reach = np.array([0.0, max(sigmas, default=3.0)])
-    for sign in (-SIGMAS, SIGMAS):
-        left.plot(reach, sign * reach, "k--", linewidth=0.7)
-    left.set(xlabel="own σ, ms", ylabel="error, ms", title="adopted offsets; dashed: 3 σ")
-    for label, times in (
-        ("offset right to 3 ms, after the first turn", [c.found_after_s for f in flights for c in f.clocks.values()]),
-        ("named again, after the detection", [s for f in flights for s in f.named_again_s]),
-    ):  # fmt: skip
-        values = np.sort(times)
-        right.step(values, np.arange(1, len(values) + 1) / max(len(values), 1), where="post", label=label)
-    right.set(xlim=(0.0, 40.0), ylim=(0.0, 1.02), xlabel="s", ylabel="share", title="how soon")
-    right.legend(loc="lower right", fontsize=8)
-    report.save(figure, path)
 
 
 BENCH = Benchmark(

@@ -13,17 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.benchmarks.identity.recognition import SwarmJudge
 from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
 from swarmtrack.lab.scenarios.scenario import Scenario
-from swarmtrack.lab.score.swarm_score import (
-    GRACE,
-    RATE_HZ,
-    Glance,
-    SwarmScore,
-    SwarmScorer,
-    confirmed_tracks,
-)
-from swarmtrack.lab.score.swarm_truth import SwarmTruth, TrueView
+from swarmtrack.lab.score.swarm_score import GRACE, SwarmScore, confirmed_tracks
+from swarmtrack.lab.score.swarm_truth import TrueView
 from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.motion.time_offset import CameraClock
 
@@ -140,10 +134,9 @@ class FlightJudge:
 
     def __init__(self, scenario: Scenario, swarm: VirtualSwarm) -> None:
         self._swarm = swarm
-        self._truth = SwarmTruth(scenario.world, scenario.cameras)
+        self._judge = SwarmJudge(swarm, scenario, scenario.seconds)
+        self._truth = self._judge.truth
         self._camera = scenario.camera
-        self._scorer = SwarmScorer(scenario.members, start=0.0, end=scenario.seconds)
-        self._judged: dict[int, int] = {}
         self._nis_judged: dict[int, int] = {}
         self._pairs: dict[tuple[int, int], Acquaintance] = {}
         self._scans: list[tuple[int, float, bool, float]] = []
@@ -164,7 +157,7 @@ class FlightJudge:
         record.see(scan.t, clock)
         self._distances(scan, self._truth.view(scan.observer, scan.t))
         shown = self._truth.view(scan.observer, scan.exposed_t)
-        self._score(scan, shown)
+        self._judge.see(scan, scan.exposed_t)
         self._names_elsewhere(scan, shown)
         for drone_id in self.clocks:
             if drone_id != scan.observer:
@@ -186,7 +179,7 @@ class FlightJudge:
             seed,
             len(self.clocks),
             fps,
-            self._scorer.score(),
+            self._judge.scorer.score(),
             self.clocks,
             self._names,
             self._elsewhere,
@@ -198,24 +191,6 @@ class FlightJudge:
             settled,
             self._swarm.announcements / len(self.clocks),
         )
-
-    def _score(self, scan: ObservedScan, view: TrueView) -> None:
-        for drone_id, t in self._swarm.announced_at.items():
-            self._scorer.announced(drone_id, t)
-            self._scorer.knows(scan.observer, "virtual", drone_id, t)
-        index = math.floor(scan.exposed_t * RATE_HZ)
-        if self._judged.get(scan.observer) != index:
-            self._judged[scan.observer] = index
-            glance = Glance(
-                scan.observer,
-                "virtual",
-                index,
-                scan.exposed_t,
-                view.in_view,
-                view.hidden,
-                confirmed_tracks(scan.tracks),
-            )
-            self._scorer.add(glance)
 
     def _distances(self, scan: ObservedScan, view: TrueView) -> None:
         tracks = np.array([(track.u, track.v) for track in confirmed_tracks(scan.tracks)]).reshape(-1, 2)

@@ -3,8 +3,6 @@
 Whole flights in one process (`flights.py`): real trackers, names, places in metres, law and barrier; an ArduPilot's
 measured response; oracle detections at 6.7 Hz, 150 ms late, with misses, noise and clutter. The leader flies a
 square, then off, a quarter turn, and stops.
-
-    swarmtrack bench formation [--flights NAME …] [--seeds N] [--quick] --out DIR
 """
 
 from __future__ import annotations

@@ -27,11 +27,7 @@ from swarmtrack.messages import (
     PeerDeparted,
     SightingReport,
 )
-from swarmtrack.transport.sender_clock import (
-    ANNOUNCED_CLOCKS_AGREE_S,
-    REPORTED_CLOCKS_AGREE_S,
-    SenderClock,
-)
+from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S, SenderClock
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, announcement_message
 from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message

@@ -103,11 +103,7 @@ def _formation(number: int, slots: Array) -> Formation:
 
 
 def _told(
-    number: int,
-    late: tuple[Array, Array],
-    now: tuple[Array, Array],
-    noise: Array,
-    t: float,
+    number: int, late: tuple[Array, Array], now: tuple[Array, Array], noise: Array, t: float
 ) -> tuple[dict[int, RelativeState], OwnFlight, list[IdentifiedTrack], float]:
     """What a drone knows: of itself now, of the others as they were, flown on at their velocity. late, now: places and
     velocities, (n, 3) each; noise (n, 2, 3)."""

@@ -1,7 +1,4 @@
-"""`swarmtrack bench identity`: who is who from one look, over 3 to 30 drones and 2 to 40 px of projection error.
-
-swarmtrack bench identity [--quick] --out DIR
-"""
+"""`swarmtrack bench identity`: who is who from one look, over 3 to 30 drones and 2 to 40 px of projection error."""
 
 from __future__ import annotations
 

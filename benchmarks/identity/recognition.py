@@ -6,6 +6,7 @@ processes, clocks and radios can spoil is not in it: that is `swarmtrack bench s
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, Row, scenarios, seeds
-from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
+from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score.intervals import Interval, mean_interval
@@ -41,30 +42,41 @@ def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> 
     return judge(VirtualSwarm(flown, tracker=tracker), flown, seconds)
 
 
+class SwarmJudge:
+    """Judges a virtual swarm's scans as `swarmtrack sim` does, ten times a second of each observer, by the truth of
+    `flown`."""
+
+    def __init__(self, swarm: VirtualSwarm, flown: Scenario, seconds: float) -> None:
+        self.truth = SwarmTruth(flown.world, flown.cameras)
+        self.scorer = SwarmScorer(flown.members, start=0.0, end=seconds)
+        self._swarm = swarm
+        self._judged: dict[int, int] = {}
+
+    def see(self, scan: ObservedScan, t: float) -> Glance | None:
+        """t: of the truth that the scan is compared with [s, world time]; None: this tenth of a second is judged."""
+        for drone_id, announced_t in self._swarm.announced_at.items():
+            self.scorer.announced(drone_id, announced_t)
+            self.scorer.knows(scan.observer, "virtual", drone_id, announced_t)
+        index = math.floor(t * RATE_HZ)
+        if self._judged.get(scan.observer) == index:
+            return None
+        self._judged[scan.observer] = index
+        view, tracks = self.truth.view(scan.observer, t), confirmed_tracks(scan.tracks)
+        glance = Glance(scan.observer, "virtual", index, t, view.in_view, view.hidden, tracks, view.cameras)
+        self.scorer.add(glance)
+        return glance
+
+
 def judge(
     swarm: VirtualSwarm, flown: Scenario, seconds: float, see: Callable[[Glance], None] | None = None
 ) -> Flight:
     """Let the swarm fly, and judge it by the truth of `flown`. see: told of every glance, once it is judged."""
-    truth = SwarmTruth(flown.world, flown.cameras)
-    scorer = SwarmScorer(flown.members, start=0.0, end=seconds)
-    judged: dict[int, int] = {}
-    for look in swarm.fly(seconds):
-        for drone_id, t in swarm.announced_at.items():
-            scorer.announced(drone_id, t)
-            scorer.knows(look.observer, "virtual", drone_id, t)
-        index = int(np.floor(look.t * RATE_HZ))
-        if judged.get(look.observer) == index:
-            continue
-        judged[look.observer] = index
-        view = truth.view(look.observer, look.t)
-        tracks = confirmed_tracks(look.tracks)
-        glance = Glance(
-            look.observer, "virtual", index, look.t, view.in_view, view.hidden, tracks, view.cameras
-        )
-        scorer.add(glance)
-        if see is not None:
+    judging = SwarmJudge(swarm, flown, seconds)
+    for scan in swarm.fly(seconds):
+        glance = judging.see(scan, scan.t)
+        if glance is not None and see is not None:
             see(glance)
-    return Flight(scorer.score(), swarm.announcements / len(flown.members))
+    return Flight(judging.scorer.score(), swarm.announcements / len(flown.members))
 
 
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:

@@ -24,14 +24,7 @@ from swarmtrack.benchmarks.harness import Command, Option, flag, option, path
 from swarmtrack.benchmarks.trackers import page, results, timing
 from swarmtrack.benchmarks.trackers import peers as tracker_peers
 from swarmtrack.benchmarks.trackers.clips import play_clips
-from swarmtrack.benchmarks.trackers.play import (
-    MakePlayer,
-    Score,
-    applies,
-    late_difference,
-    record,
-    score,
-)
+from swarmtrack.benchmarks.trackers.play import MakePlayer, Score, applies, late_difference, record, score
 from swarmtrack.benchmarks.trackers.programme import Played, Programme, Result
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS

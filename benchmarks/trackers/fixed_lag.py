@@ -2,8 +2,6 @@
 
 Both are judged at the same scans and targets of the scenes of `swarmtrack bench trackers`, so that the ratio tells of
 nothing else.
-
-    swarmtrack bench fixed-lag [--runs 100] [--scans 5] [--tracker mbm] [--scene NAME …] --out DIR
 """
 
 from __future__ import annotations

@@ -158,10 +158,7 @@ def _latency(result: Result) -> Any:
 
 
 def _cost(result: Result) -> Any:
-    layouts = {
-        "crowded": "all in one gate",
-        "spread": "each alone, 100 px apart",
-    }
+    layouts = {"crowded": "all in one gate", "spread": "each alone, 100 px apart"}
     if not any(cost.layout in layouts for cost in result.costs):
         return None
     figure, axes = report.pyplot().subplots(1, 2, figsize=(10.0, 4.4), sharey=True, layout="constrained")

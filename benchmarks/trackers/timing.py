@@ -24,13 +24,7 @@ from swarmtrack.messages import Array, Scan
 SIZES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
 QUICK_SIZES = (2, 8, 32)
 BUDGETED = ((8, 18), (32, 40))  # targets × detections, all in one gate
-BUDGET_MS = {
-    ("jpdaf", 8): 0.6,
-    ("jpdaf", 32): 8.0,
-    ("gmphd", 32): 5.0,
-    ("mbm", 8): 2.0,
-    ("mbm", 32): 15.0,
-}
+BUDGET_MS = {("jpdaf", 8): 0.6, ("jpdaf", 32): 8.0, ("gmphd", 32): 5.0, ("mbm", 8): 2.0, ("mbm", 32): 15.0}
 AT_BUDGET_MS = {10: 0.050, 200: 0.150}
 ROUNDS = 5  # of what has a budget: the best counts, for others share the machine
 WARM_UP = 4  # scans
