@@ -11,8 +11,8 @@ The rendered frames go through the same functions as those of `swarmtrack calibr
 from __future__ import annotations
 
 import argparse
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from itertools import chain
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,7 +20,7 @@ import cv2
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import Benchmark, seeds
+from swarmtrack.benchmarks.harness import Benchmark, flown, seeds
 from swarmtrack.calibration.board import KINDS, Board, Kind
 from swarmtrack.calibration.extrinsics import doubts
 from swarmtrack.calibration.image_motion import ImageMotion
@@ -126,30 +126,27 @@ def ray_error_px(found: PinholeCamera, truth: PinholeCamera) -> float:
     return truth.fx * float(np.sqrt((np.linalg.norm(a[sound] @ R.T - b[sound], axis=1) ** 2).mean()))
 
 
+def _alone(fly: Callable[[int], Any], seed: int) -> Any:
+    """On one core, as another does on the next."""
+    cv2.setNumThreads(1)
+    return fly(seed)
+
+
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     """calibration.png into `args.out`, too."""
     report.pyplot()  # before the work, not after it, should it be missing
     boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
-    each = max(args.seeds // 6, 2)
-    with (
-        report.progress(NAME, args.seeds + each * len(boards)) as advance,
-        ProcessPoolExecutor(initializer=cv2.setNumThreads, initargs=(1,)) as pool,
-    ):
-        by_hand = [pool.submit(hand_turned, seed) for seed in range(args.seeds)]
-        by_board = {
-            board: [pool.submit(board_shown, seed, *board) for seed in range(each)] for board in boards
-        }
-        everything: list[Future[Any]] = [*by_hand, *chain.from_iterable(by_board.values())]
-        for _ in as_completed(everything):
-            advance("")
-    minutes = [done.result() for done in by_hand]
+    (minutes,) = flown("turned by hand", [("", partial(_alone, hand_turned))], range(args.seeds))
+    parts = [
+        (f"{kind}, {model}", partial(_alone, partial(board_shown, kind=kind, model=model)))
+        for kind, model in boards
+    ]
+    by_board = list(flown("boards", parts, range(max(args.seeds // 6, 2))))
     _plot(args.out / f"{NAME}.png", minutes)
     return {
         "seconds": SECONDS,
         "extrinsics": _extrinsics(minutes),
-        "intrinsics": [
-            _intrinsics(*board, [done.result() for done in shown]) for board, shown in by_board.items()
-        ],
+        "intrinsics": [_intrinsics(*board, shown) for board, shown in zip(boards, by_board, strict=True)],
     }
 
 

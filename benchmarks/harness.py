@@ -60,8 +60,9 @@ class Option(NamedTuple):
     def add_to(self, parser: argparse.ArgumentParser) -> None:
         keywords = {"default": self.default, **self.keywords}
         if self.quick is not None:
-            keywords |= {"default": None, "help": f"{keywords['help']} (default: {self.default:g}"}
-            keywords["help"] += f"; with --quick {self.quick:g})"
+            usual, quick = (f"{value:,.10g}" for value in (self.default, self.quick))
+            words = f"{keywords['help']} (default: {usual}; with --quick {quick})"
+            keywords |= {"default": None, "help": words}
         if keywords.get("action") == "store_true":
             del keywords["default"]
         parser.add_argument(self.name, **keywords)
@@ -108,10 +109,11 @@ def scenarios(usual: Sequence[str]) -> Option:
     return option("--scenarios", words, nargs="+", default=list(usual), metavar="NAME")
 
 
-def some_of(name: str, choices: Iterable[str], **keywords: Any) -> Option:
+def some_of(name: str, choices: Iterable[str]) -> Option:
     """Some of these, or all."""
     known = list(choices)
-    return option(name, "(default: all)", nargs="+", choices=known, default=known, **keywords)
+    words = f"which of {', '.join(known)} (default: all)"
+    return option(name, words, nargs="+", choices=known, default=known, metavar="NAME")
 
 
 TRACKER = option("--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS))
@@ -134,7 +136,7 @@ COMMON = (
 
 
 class Command:
-    """A benchmark as `swarmtrack bench` finds it; `_measure` says what NAME.json is to hold, `_page` NAME.md."""
+    """A benchmark as `swarmtrack bench` finds it. `_measure` writes what it finds, and returns what is in NAME.json."""
 
     name: str
     options: Sequence[Option]
@@ -188,8 +190,8 @@ class Benchmark(Command):
 class Row(NamedTuple):
     """One row of a table: `fly` flies a seed, `summarise` makes of all flights what stands in the row, after `facts`.
 
-    Both words and fly go to other processes. place: in the JSON; the list "rows", or by names. group: the heading of
-    the table that it stands in.
+    `fly` goes to other processes, so it is a function of a module, or a `partial` of one. place: in the JSON, the list
+    "rows" or by names; group: the heading of the table that it stands in.
     """
 
     words: str
@@ -244,10 +246,10 @@ class Flights(Command):
 
     def _page(self, result: Result, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
         about = report.filled(self.about, result) if isinstance(self.about, str) else self.about(result)
-        parts = [f"# {self.title}", *([about] if about else [])]
+        parts = [f"# {self.title}", about]
         for group, rows in tables.items():
-            parts += [f"## {group}"] * bool(group) + [report.table_of(self.columns, rows)]
-        return "\n\n".join(parts)
+            parts += [f"## {group}" if group else "", report.table_of(self.columns, rows)]
+        return report.page(*parts)
 
 
 def _put(result: Result, row: Row, summary: Mapping[str, Any]) -> None:

@@ -18,7 +18,7 @@ import sys
 import time
 from collections.abc import Sequence
 from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
@@ -102,25 +102,19 @@ async def measure(team: Team) -> Outcome:
     async with AsyncExitStack() as stack:
         routers = free_ports(ROUTERS) if team.mode == Mode.CLIENT else []
         relays = [
-            await stack.enter_async_context(program("router", name, [port], routers[:i]))
+            await stack.enter_async_context(program(Task("router", name, [port], routers[:i])))
             for i, port in enumerate(routers)
         ]
         for relay in relays:
             await said(relay)
         ports = free_ports(team.sessions) if team.mode == Mode.PEER else []
         processes = min(PROCESSES, max(1, team.sessions // 3))
+        ids = [list(range(1 + i, team.sessions + 1, processes)) for i in range(processes)]
         shares = [
             await stack.enter_async_context(
-                program(
-                    "sessions",
-                    name,
-                    ports,
-                    routers,
-                    ids=range(1 + i, team.sessions + 1, processes),
-                    team=team,
-                )
+                program(Task("sessions", name, ports, routers, of_process, team.sessions))
             )
-            for i in range(processes)
+            for of_process in ids
         ]
         for process in shares:
             await said(process)  # has imported everything
@@ -162,25 +156,9 @@ async def said(process: asyncio.subprocess.Process) -> str:
     return line.decode()
 
 
-def program(
-    role: str,
-    name: str,
-    listen: Sequence[int],
-    connect: Sequence[int],
-    *,
-    ids: Sequence[int] = (),
-    team: Team | None = None,
-) -> AbstractAsyncContextManager[asyncio.subprocess.Process]:
-    """This module as another process. listen, connect: ports on loopback."""
-    task = {
-        "role": role,
-        "name": name,
-        "listen": list(listen),
-        "connect": list(connect),
-        "ids": list(ids),
-        "sessions": team.sessions if team else 0,
-    }
-    return module_process("swarmtrack.benchmarks.hundred_clients", json.dumps(task))
+def program(task: Task) -> AbstractAsyncContextManager[asyncio.subprocess.Process]:
+    """This module as another process."""
+    return module_process("swarmtrack.benchmarks.hundred_clients", json.dumps(asdict(task)))
 
 
 def free_ports(n: int) -> list[int]:
@@ -199,14 +177,15 @@ def free_ports(n: int) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a process is told. ids: of its sessions, of as many in all; listen: by ID in a mesh, or the router's own."""
+    """What a process is told. listen, connect: ports on loopback; listen: by ID in a mesh, or the router's own; ids: of
+    its sessions, of as many in all."""
 
     role: str
     name: str
     listen: list[int]
     connect: list[int]
-    ids: list[int]
-    sessions: int
+    ids: list[int] = field(default_factory=list)
+    sessions: int = 0
 
     def network(self, drone_id: int) -> NetworkSettings:
         """Peers dial those of lower ID; clients one router each, half of them the other first."""

@@ -190,18 +190,17 @@ class Squeezes:
             )
             for k in range(n)
         }
-        return states, own, [_seen(k, self._t) for k in range(n)], self._t
+        return states, own, [seen_track(k, self._t) for k in range(n)], self._t
 
     def _velocity(self) -> Velocity:
         north, east, down = self._rng.normal(0.0, 1.0, 3).tolist()
         return north, east, down
 
 
-def _seen(track: int, t: float) -> IdentifiedTrack:
-    """Confirmed, without a name."""
-    return IdentifiedTrack(
-        Track(track, t, SEEN_AT, SEEN_COV, TrackStatus.CONFIRMED, 1.0, SEEN_SIZE, None), None, 0.0
-    )
+def seen_track(number: int, t: float, drone: int | None = None) -> IdentifiedTrack:
+    """Confirmed, and surely called so, if anything; where it is in the image tells a formation nothing."""
+    track = Track(number, t, SEEN_AT, SEEN_COV, TrackStatus.CONFIRMED, 1.0, SEEN_SIZE, coasting_since=None)
+    return IdentifiedTrack(track, drone, 0.0 if drone is None else 0.999)
 
 
 def closing(velocity: Velocity, story: Story) -> float:

@@ -27,7 +27,7 @@ from swarmtrack.benchmarks.formation.flights import (
     FormationFlight,
 )
 from swarmtrack.benchmarks.formation.meetings import meet, meetings_row
-from swarmtrack.benchmarks.harness import PROCESSES, Benchmark, flown, option, seeds
+from swarmtrack.benchmarks.harness import PROCESSES, Benchmark, flown, seeds, some_of
 from swarmtrack.formation.setpoint import Why
 from swarmtrack.lab.score.formation_score import (
     LOST_M,
@@ -282,13 +282,6 @@ BENCH = Benchmark(
     NAME,
     _measured,
     _page,
-    options=(
-        seeds(100, quick=2),
-        PROCESSES,
-        option(
-            "--flights", f"which of {', '.join(FLIGHTS)}, {MEETINGS} (default: all)", nargs="+",
-            choices=[*FLIGHTS, MEETINGS], default=[*FLIGHTS, MEETINGS], metavar="NAME",
-        ),
-    ),
-)  # fmt: skip
+    options=(seeds(100, quick=2), PROCESSES, some_of("--flights", [*FLIGHTS, MEETINGS])),
+)
 add_arguments, run = BENCH.add_arguments, BENCH.run

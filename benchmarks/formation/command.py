@@ -27,12 +27,13 @@ from swarmtrack.benchmarks.formation.any_states import (
     Stories,
     Story,
     closes_in,
+    seen_track,
     wrong_with,
 )
 from swarmtrack.formation.formation import Formation
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import OwnFlight, Setpoint
-from swarmtrack.messages import IdentifiedTrack, RelativeState, Track, TrackStatus
+from swarmtrack.messages import RelativeState
 
 TRACKS = (1, 5, 10, 20)
 BUDGET_MS = 0.3
@@ -65,10 +66,7 @@ def crowd(n: int) -> Story:
         away = np.array([4.0, -3.0, 1.0]) if k == 0 else chance.uniform(-1.8, 1.8, 3)
         speed = -0.1 * away
         states[k] = RelativeState(k + 1, 0.0, away, speed, 0.01 * np.eye(6), 0.05, ("size",))
-        seen = Track(
-            k, 0.0, np.zeros(4), np.eye(4), TrackStatus.CONFIRMED, 1.0, np.full(2, 20.0), coasting_since=None
-        )
-        tracks.append(IdentifiedTrack(seen, 1 if k == 0 else None, 0.999 if k == 0 else 0.0))
+        tracks.append(seen_track(k, 0.0, 1 if k == 0 else None))
     return states, own, tracks, 0.0
 
 

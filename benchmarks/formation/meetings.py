@@ -13,10 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from swarmtrack.benchmarks.formation.any_states import seen_track
 from swarmtrack.formation.formation import Formation
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters, Place
 from swarmtrack.formation.setpoint import OwnFlight
-from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, Track, TrackStatus
+from swarmtrack.messages import Array, IdentifiedTrack, RelativeState
 
 LEADER = 1
 # s: of a step, and of the whole; and of steps, what is told is late.
@@ -124,20 +125,15 @@ def _told(
             0.05,
             ("size",),
         )
-        tracks.append(_track(other, LEADER + 1 + other, t))
+        tracks.append(seen_track(other, t, LEADER + 1 + other))
     leader = len(where)
     states[leader] = RelativeState(
         LEADER, t, np.array([0.0, 0.0, -LEADER_ABOVE_M]) - here, -flies, cov, 0.05, ("size",)
     )
-    tracks.append(_track(leader, LEADER, t))
+    tracks.append(seen_track(leader, t, LEADER))
     north, east, down = here.tolist()
     vn, ve, vd = flies.tolist()
     return states, OwnFlight((north, east, down - HEIGHT_M), (vn, ve, vd), 0.0), tracks, t
-
-
-def _track(track: int, drone: int, t: float) -> IdentifiedTrack:
-    seen = Track(track, t, np.zeros(4), np.eye(4), TrackStatus.CONFIRMED, 1.0, np.full(2, 20.0), None)
-    return IdentifiedTrack(seen, drone, 0.999)
 
 
 def meetings_row(met: Sequence[Meeting]) -> dict[str, Any]:

@@ -11,16 +11,14 @@ costs, the ablation and what else the page trackers.md is made of.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import Command, Option, flag, option, path
+from swarmtrack.benchmarks.harness import Command, Option, flag, option, path, pool
 from swarmtrack.benchmarks.trackers import page, results, timing
 from swarmtrack.benchmarks.trackers import peers as tracker_peers
 from swarmtrack.benchmarks.trackers.clips import play_clips
@@ -79,10 +77,9 @@ class Trackers(Command):
     options: Sequence[Option]
 
     def _measure(self, args: argparse.Namespace) -> dict[str, Any]:
-        more = {} if args.jobs is None else {"jobs": args.jobs}
         programme = Programme(
             trackers=tuple(args.tracker), scenes=tuple(args.scene), runs=args.runs, quick=args.quick,
-            peers=args.peers, data=args.data, **more,
+            peers=args.peers, jobs=args.jobs, data=args.data,
         )  # fmt: skip
         report.pyplot()  # before the work, not after it, should it be missing
         result = found(programme)
@@ -97,7 +94,7 @@ BENCH = Trackers(
         option("--tracker", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
         option("--scene", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
         flag("--peers", "Stone Soup's, too (needs swarmtrack[peers])"),
-        option("--jobs", "processes (default: one a core)", type=int, metavar="N"),
+        option("--jobs", "processes (default: one a core)", type=int, default=os.cpu_count(), metavar="N"),
         path("--data", "real detections, too: a folder with NAME.mp4 and NAME_gt.csv"),
     ),
 )
@@ -125,30 +122,16 @@ def found(programme: Programme) -> Result:
 
 
 def play_all(blocks: Sequence[Block], jobs: int) -> Played:
-    """All blocks, in `jobs` processes; the result is in the order of the blocks, whoever was done first."""
-    done: dict[int, list[list[Score]]] = {}
-    with report.progress("trackers", len(blocks)) as advance:
-        for index, scores in _played(blocks, jobs):
-            done[index] = scores
-            advance(blocks[index].scene)
+    """All blocks, in `jobs` processes; the result is in the order of the blocks."""
+    if jobs > 1:
+        os.environ.update({name: "1" for name in _ONE_THREAD if name not in os.environ})  # of the children
     played: Played = {}
-    for index, block in enumerate(blocks):
-        for entrant, own in zip(block.entrants, done[index], strict=True):
-            played.setdefault((block.scene, entrant.label), []).extend(own)
+    with pool(jobs) as play_each, report.progress("trackers", len(blocks)) as advance:
+        for block, scores in zip(blocks, play_each(play_block, blocks), strict=True):
+            for entrant, own in zip(block.entrants, scores, strict=True):
+                played.setdefault((block.scene, entrant.label), []).extend(own)
+            advance(block.scene)
     return played
-
-
-def _played(blocks: Sequence[Block], jobs: int) -> Iterator[tuple[int, list[list[Score]]]]:
-    if jobs == 1:
-        for index, block in enumerate(blocks):
-            yield index, play_block(block)
-        return
-    os.environ.update({name: "1" for name in _ONE_THREAD if name not in os.environ})  # of the children
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
-        futures = {pool.submit(play_block, block): index for index, block in enumerate(blocks)}
-        for future in as_completed(futures):
-            yield futures[future], future.result()
 
 
 def play_block(block: Block) -> list[list[Score]]:
@@ -198,12 +181,8 @@ def _ablation_blocks(programme: Programme) -> Iterator[Block]:
         return
     entrants = tuple(ablations_of(DEFAULT_TRACKER))
     wanted = QUICK_ABLATION_SCENES if programme.quick else ABLATION_SCENES
-    for name in _in_both(wanted, programme.scenes_to_play()):
+    for name in (name for name in wanted if name in programme.scenes_to_play()):
         yield from _cut(name, entrants, min(programme.runs_of(name), ABLATION_RUNS))
-
-
-def _in_both(wanted: Iterable[str], played: Sequence[str]) -> list[str]:
-    return [name for name in wanted if name in played]
 
 
 def _time(

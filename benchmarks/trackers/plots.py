@@ -14,6 +14,7 @@ from swarmtrack.benchmarks.trackers.programme import Result
 from swarmtrack.benchmarks.trackers.results import by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
+from swarmtrack.tracking import DEFAULT_TRACKER
 
 COLOURS = {
     "kalman": "tab:orange",
@@ -92,7 +93,7 @@ def _conditions(result: Result) -> Any:
 
 def _trajectories(result: Result) -> Any:
     scene = "slow_merged"
-    good, other = result.default, "kalman"
+    good, other = DEFAULT_TRACKER, "kalman"
     if not (_has(result, scene) and (scene, good) in result.played and (scene, other) in result.played):
         return None
     pairs = list(zip(result.played[scene, good], result.played[scene, other], strict=True))

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +12,7 @@ from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, Score
 from swarmtrack.benchmarks.trackers.results import Row
 from swarmtrack.benchmarks.trackers.scenes import SCENES, find_scene
 from swarmtrack.benchmarks.trackers.timing import Cost, Enumeration
-from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
+from swarmtrack.tracking import TRACKERS
 
 QUICK_RUNS = 2
 QUICK_SCENES = (
@@ -31,7 +30,7 @@ class Programme:
     runs: int | None = None
     quick: bool = False
     peers: bool = False
-    jobs: int = field(default_factory=lambda: os.cpu_count() or 1)
+    jobs: int = 1
     data: Path | None = None
 
     def __post_init__(self) -> None:
@@ -81,7 +80,3 @@ class Result(NamedTuple):
     """By tracker: how much reading `at(now)` between scans changes the state at the scans."""
     clips: list[ClipRow]
     wall_s: float
-
-    @property
-    def default(self) -> str:
-        return DEFAULT_TRACKER

@@ -13,14 +13,14 @@ import argparse
 import gc
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import Benchmark, amount
+from swarmtrack.benchmarks.harness import Benchmark, amount, pool
 from swarmtrack.benchmarks.processes import rss_mb
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
@@ -131,12 +131,12 @@ def _faults(tracks: Sequence[Track]) -> tuple[int, int, int]:
 
 def _measured(args: argparse.Namespace) -> list[Endurance]:
     """The scans are shared by the trackers, each in a process of its own."""
-    with report.progress(NAME, len(TRACKERS)) as advance, ProcessPoolExecutor() as pool:
-        jobs = {name: pool.submit(endure, name, args.scans // len(TRACKERS)) for name in TRACKERS}
-        rows = []
-        for name, job in jobs.items():
-            rows.append(job.result())
-            advance(name)
+    rows = []
+    one = partial(endure, scans=args.scans // len(TRACKERS))
+    with pool(None) as each, report.progress(NAME, len(TRACKERS)) as advance:
+        for row in each(one, list(TRACKERS)):
+            rows.append(row)
+            advance(row.tracker)
     return rows
 
 

@@ -99,7 +99,7 @@ def test_a_command_line_and_python_say_the_same(tmp_path):
         parser.parse_args(["--quick", "--set", "x", "--set", "y", "--cases", "b", "--out", str(tmp_path)])
     )
     assert told == {"quick": True, "runs": 1, "no_wind": False, "set": ["x", "y"], "cases": ["b"]}
-    assert "(default: 10; with --quick 1)" in parser.format_help()
+    assert "of each (default: 10; with --quick 1)" in parser.format_help()
     with pytest.raises(AssertionError, match="bench said knows runs, no_wind"):
         bench.publish(tmp_path, wind=True)
 
