@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from swarmtrack.benchmarks import all_round
+from swarmtrack.benchmarks import all_round, report
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm, oracle_eyes
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.score.swarm_score import Glance, NamedTrack
@@ -92,3 +92,4 @@ def test_a_summary_weighs_flights_by_what_was_seen_in_them():
         (one.at_seams[1] + 15) / (one.at_seams[0] + 30)
     )
     assert found["samples"] == 2 * one.score.samples
+    assert "| two | " in report.table_of(all_round.BENCH.columns, [{"name": "two", **found}])

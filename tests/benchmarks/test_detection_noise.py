@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from swarmtrack.benchmarks.detection_noise import (
+    BENCH,
     Sightings,
     by_distance,
     fit,
@@ -51,6 +52,8 @@ def test_the_formula_that_made_the_boxes_is_found():
     assert result["score_noise"]["value"] == pytest.approx(SCORE_NOISE, rel=0.2)
     for name in ("size_noise", "score_noise"):
         assert result[name]["low"] <= result[name]["value"] <= result[name]["high"]
+    page = BENCH.page({"clips": ["one"], "drones": len(drones), "apart": [], **result})
+    assert f"| size_noise | {result['size_noise']['value']:.4f} |" in page
 
 
 def test_what_does_not_depend_on_the_score_has_no_score_noise():

@@ -79,8 +79,7 @@ def data(tmp_path_factory):
     return root
 
 
-def test_it_writes_numbers_for_programs_a_page_for_people_and_a_plot(data, tmp_path, capsys):
-    pytest.importorskip("matplotlib")
+def test_it_writes_numbers_for_programs_and_a_page_for_people(data, tmp_path, capsys):
     assert main(["bench", "detector", "default", str(data), "--quick", "--out", str(tmp_path)]) == 0
     found = json.loads((tmp_path / "detector.json").read_text())
     assert found["images"] == 18
@@ -91,7 +90,6 @@ def test_it_writes_numbers_for_programs_a_page_for_people_and_a_plot(data, tmp_p
     assert {row["kind"] for row in found["by_distractor"]} == {"bird", "anything"}
     assert set(found["ms_per_frame"]) == {"320x256", "640x480"}
     assert "## By size" in capsys.readouterr().out
-    assert (tmp_path / "detector.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(

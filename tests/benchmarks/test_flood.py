@@ -6,11 +6,13 @@ The limits are far above what is measured, for a machine that is busy; `pytest -
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from swarmtrack.benchmarks.flood import Sort, measure
+from swarmtrack.benchmarks.flood import BENCH, Sort, measure
 
 SECONDS = 2.0
 VALID = {Sort.ANNOUNCEMENTS, Sort.SIGHTINGS, Sort.TOKENS}  # what an agent has to be told of, if not all of it
@@ -20,6 +22,7 @@ AT_MOST_HZ = 300.0  # of one key four, twenty times a second; of tokens those of
 @pytest.mark.parametrize("sort", [sort for sort in Sort if sort is not Sort.NOTHING])
 async def test_a_flood_by_a_member_stops_neither_the_loop_nor_the_others(sort: Sort) -> None:
     outcome = await measure(sort, SECONDS)
+    assert f"| {sort} | " in BENCH.page({"floods": [asdict(outcome)]})
     print(f"\n  {outcome}", end="")
     assert outcome.sent_hz > 100, "no flood: the test would show nothing"
     # A loop that a flood holds up lags as long as the flood lasts; a busy machine makes it late, but not so late.

@@ -2,7 +2,7 @@
 
 import pytest
 
-from swarmtrack.benchmarks import misconfigured
+from swarmtrack.benchmarks import misconfigured, report
 from swarmtrack.identity.weighing import PLACE_ALONE
 
 ROWS = {row.name: row for row in misconfigured.rows()}
@@ -14,6 +14,8 @@ def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(mo
     assert flight.score.wrong == 0.0
     assert flight.later.correct == 1.0
     assert flight.falsely == 0
+    row = {"name": "nothing", **misconfigured.summary([flight])}
+    assert report.table_of(misconfigured.BENCH.columns, [row]).endswith("| – | 0 of 0 | –, – | 0 |")
 
 
 @pytest.mark.long

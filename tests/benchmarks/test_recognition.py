@@ -4,6 +4,7 @@ import functools
 
 import pytest
 
+from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.identity import recognition
 
 
@@ -49,3 +50,9 @@ def test_a_team_that_can_be_seen_apart_announces_itself_once():
 def test_the_same_seed_flies_the_same_flight():
     one, other = (recognition.fly("crossing", 4, 2.0, "kalman", 5) for _ in range(2))
     assert one == other
+
+
+def test_the_page_has_a_line_for_each_scenario():
+    row = recognition.summary([fly("hover-triangle", 3, 6.0, 1)])
+    page = report.table_of(recognition.BENCH.columns, [{"name": "hover-triangle", **row}])
+    assert "| hover-triangle | 100.00 (" in page

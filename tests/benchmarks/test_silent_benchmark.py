@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmtrack.benchmarks import silent
+from swarmtrack.benchmarks import report, silent
 
 
 @pytest.mark.parametrize("mode", silent.MODES, ids=lambda mode: mode.words)
@@ -15,9 +15,11 @@ def test_nobody_is_called_by_another_s_name(mode):
         assert max(flight.all_named_s for flight in flights) < 8.0
 
 
-def test_the_page_says_what_was_flown(tmp_path):
+def test_the_page_says_what_was_flown():
     flights = [silent.Flight(2.0, 3, 0), silent.Flight(float("inf"), 2, 1)]
     row = silent.summary(3, flights)
     assert row["all_named_s"] == {"p50": 2.0, "p95": float("inf")}
     assert row["named"]["value"] == pytest.approx(5 / 6)
     assert (row["wrong_names"], row["names"]) == (1, 6)
+    page = report.table_of(silent.BENCH.columns, [{"mode": "code", "drones": 3, **row}])
+    assert "| code | 3 | 2.0 | – | 83.3 (" in page

@@ -15,6 +15,7 @@ def test_hostile_scans_leave_every_number_sound(name, scans):
     found = soak.endure(name, scans, seed=3)
     assert found.tracks_seen > 12 * scans
     assert (found.not_finite, found.not_positive, found.not_a_probability) == (0, 0, 0)
+    assert f"| {name} | {scans:,} | " in soak.BENCH.page([found])
 
 
 def test_what_is_unsound_is_noticed():

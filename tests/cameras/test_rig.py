@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks import seams as bench
 from swarmtrack.cameras.rig import Rig, RigCamera
 from swarmtrack.cameras.seams import Seam, SeamComparison
@@ -353,6 +354,9 @@ def test_a_camera_that_is_set_apart_neither_gives_nor_takes_tracks():
 def test_a_mounting_that_is_two_degrees_off_is_found_in_flight_and_no_track_is_lost_meanwhile():
     row = bench.Row("", 1.5, -10.0, 2.0, 1.0)
     flown = bench.fly(row, "mbm", 3)
+    assert "| one | " in report.table_of(
+        bench.BENCH.columns, [{"name": "one", **bench.summary([flown, flown])}]
+    )
     assert flown.crossings > 50
     assert flown.kept == flown.crossings
     assert flown.error_deg < 0.4
