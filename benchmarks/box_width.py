@@ -30,8 +30,8 @@ import numpy as np
 
 from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.clip_frames import frames
 from swarmtrack.benchmarks.harness import PROCESSES, SECOND_STAGE, Benchmark, flag, flown, option, path, seeds
-from swarmtrack.benchmarks.trackers.clips import frames
 from swarmtrack.calibration.box_width import (
     FEWEST_OF_DRONE,
     OTHER_THING,

@@ -29,8 +29,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.clip_frames import look
 from swarmtrack.benchmarks.harness import CLIPS, Benchmark
-from swarmtrack.benchmarks.trackers.clips import look
 from swarmtrack.detection.detector import Detector
 from swarmtrack.lab.score.clip_score import TrackPoints, TruthBoxes, match_hits
 from swarmtrack.lab.score.intervals import Interval

@@ -21,9 +21,9 @@ import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks.clip_frames import frames
 from swarmtrack.benchmarks.harness import SECOND_STAGE, Benchmark, flag, listed, option, path
 from swarmtrack.benchmarks.report import BenchmarkError
-from swarmtrack.benchmarks.trackers.clips import frames
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.expectation import Expectation, PixelMapping
 from swarmtrack.lab.scenarios.files import load_scenario
@@ -289,44 +289,36 @@ SET_COLUMNS: report.Columns = (
 )
 SIZE_COLUMNS = (("px", "{low:g} … {high:g}"), ("drones", "{drones}"), ("recall", "{recall:.3f}"))
 TIME_COLUMNS = (("input", "{size}"), ("least", "{least:.2f}"), ("median", "{p50:.2f}"), ("p95", "{p95:.2f}"))
-# What is known of a set without drones.
-OF_NO_DRONES = ("images", "drones", "false_per_image")
+# What nobody knows of a set without drones.
+OF_DRONES = (
+    "centre_ap", "ap50", "recall_1fppi", "recall_01fppi", "recall", "centre_error_median_px", "centre_error_p90_px"
+)  # fmt: skip
 
 
 def _page(result: dict[str, Any]) -> str:
-    def sets(by: dict[str, dict[str, Any]]) -> str:
-        rows = [
-            {
-                name: None if name not in OF_NO_DRONES and not entry["drones"] else value
-                for name, value in entry.items()
-            }
-            for entry in by.values()
+    def sets(by: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+        return [
+            entry | {"name": name} | ({} if entry["drones"] else dict.fromkeys(OF_DRONES))
+            for name, entry in by.items()
         ]
-        return report.table_of(
-            SET_COLUMNS, [{**row, "name": name} for name, row in zip(by, rows, strict=True)]
-        )
 
     sure = result["threshold_of_090_recall"]
-    distractor_columns: report.Columns = (
+    distractor_columns = (
         ("", "{kind}"),
         ("there are", "{count}"),
-        (f"fired at {result['threshold']:g}", lambda row: _percent(row["threshold"])),
-        (f"at {sure:g}, where recall is 0.9", lambda row: _percent(row["at_090_recall"])),
+        (f"fired at {result['threshold']:g}", "{threshold:.0p%}"),
+        (f"at {sure:g}, where recall is 0.9", "{at_090_recall:.0p%}"),
     )
-    sections = {
-        "Images": sets(result["by_scene"]) if result["by_scene"] else "",
-        "Clips": sets(result["by_clip"]) if result["by_clip"] else "",
-        "By size of the label's longer side, px": report.table_of(SIZE_COLUMNS, result["by_size"])
-        if result["by_size"]
-        else "",
-        "What else it takes for a drone (anything: images without a drone)": report.table_of(
-            distractor_columns, result["by_distractor"]
-        )
-        if result["by_distractor"]
-        else "",
-        "Milliseconds a frame, one thread": report.table_of(
-            TIME_COLUMNS, [{"size": size, **entry} for size, entry in result["ms_per_frame"].items()]
+    times = [{"size": size, **entry} for size, entry in result["ms_per_frame"].items()]
+    tables: dict[str, tuple[report.Columns, list[dict[str, Any]]]] = {
+        "Images": (SET_COLUMNS, sets(result["by_scene"])),
+        "Clips": (SET_COLUMNS, sets(result["by_clip"])),
+        "By size of the label's longer side, px": (SIZE_COLUMNS, result["by_size"]),
+        "What else it takes for a drone (anything: images without a drone)": (
+            distractor_columns,
+            result["by_distractor"],
         ),
+        "Milliseconds a frame, one thread": (TIME_COLUMNS, times),
     }
     moved = "; clips with what moved" if result["motion"] else ""
     return report.page(
@@ -334,12 +326,8 @@ def _page(result: dict[str, Any]) -> str:
         f"Head {result['head']}, understood by {result['source']}; {result['file_mb']} MB; whole frames, input scale"
         f" {result['input_scale']:g}{moved}; threshold {result['threshold']:g}. A hit: the centre within max(6 px, half"
         " the longer side of the label). False / image: at that threshold.",
-        *(f"## {title}\n\n{table}" for title, table in sections.items() if table),
+        *(f"## {title}\n\n{report.table_of(*table)}" for title, table in tables.items() if table[1]),
     )
-
-
-def _percent(share: float | None) -> str:
-    return "–" if share is None else f"{100 * share:.0f} %"
 
 
 BENCH = Benchmark(

@@ -1,8 +1,8 @@
 """What every benchmark leaves behind: NAME.json for programs, NAME.md for people, plots; and its line of progress.
 
 Cells of a table are templates of what stands in its row, a dictionary or an object, as `str.format` has them:
-"{runs}", "{rmse_px[p50]:.2f}". A number that is none is "–"; `.1p` is percent, without the sign, `.1m` thousandths; of
-an interval, with value, low and high, both ends follow in brackets, with `.1p%` after the sign.
+"{runs}", "{rmse_px[p50]:.2f}". A number that is none is "–". `.1p` is percent, and `.1p%` with the sign; `.1m` is
+thousandths; of an interval, with value, low and high, both ends follow in brackets.
 """
 
 from __future__ import annotations
@@ -95,15 +95,16 @@ class _Filler(string.Formatter):
         return self._row[key] if isinstance(self._row, Mapping) else getattr(self._row, str(key))
 
     def format_field(self, value: Any, spec: str) -> str:
+        sign = " %" if spec.endswith("p%") else ""
+        spec = spec.removesuffix("%") if sign else spec
         if isinstance(value, Mapping) and spec:
-            spec, sign, _ = spec.partition("%")
-            middle, *ends = (self.format_field(value[name], spec) for name in ("value", "low", "high"))
-            return f"{middle}{' %' if sign else ''} ({' … '.join(ends)})"
+            middle, low, high = (self.format_field(value[name], spec) for name in ("value", "low", "high"))
+            return f"{middle}{sign} ({low} … {high})"
         if value is None or (isinstance(value, float) and not math.isfinite(value)):
             return "–"
         # Percent, and thousandths.
         times = {"p": 100.0, "m": 1e3}.get(spec[-1:])
-        return f"{times * value:{spec[:-1]}f}" if times else format(value, spec)
+        return f"{times * value:{spec[:-1]}f}{sign}" if times else format(value, spec)
 
 
 def number(value: float, digits: int = 2) -> str:

@@ -245,6 +245,11 @@ GONE = (
     "{flight}: the fastest follower after 1, 2, 3, 4 s: {speeds} m/s; flown on {leader_gone[flown_on_m][p50]:.1f} m, "
     "at most {leader_gone[flown_on_m][max]:.1f} m."
 )
+NOTICED = (
+    "{flight}: noticed after {noticed[after_s][p50]:.1f} s, at most {noticed[after_s][max]:.1f} s{height}; never in "
+    "{noticed[never]} of {runs}; lowest {noticed[lowest_m]:.1f} m."
+)
+HEIGHT = ", {p50:.2f} m off in height by then, at most {max:.2f} m"
 MET = (
     "{runs} meetings of 2 to 5: longest wait {waited_s[max]:.1f} s, the smallest separation {min_separation_m:.2f} m; "
     "in {runs_with_one_not_arrived} somebody did not arrive."
@@ -260,22 +265,17 @@ def _page(result: dict[str, Any]) -> str:
             lines.append(
                 report.filled(GONE, {**row, "speeds": ", ".join(f"{speed:.2f}" for speed in fastest)})
             )
-    lines += [_noticed_in_words(row) for row in rows if "noticed" in row]
+    for row in rows:
+        if "noticed" in row:
+            drift = row["noticed"]["drift_m"]
+            lines.append(
+                report.filled(
+                    NOTICED, {**row, "height": report.filled(HEIGHT, drift) if drift["max"] else ""}
+                )
+            )
     if MEETINGS in result:
         lines.append(report.filled(MET, result[MEETINGS]))
     return report.page("# Formation by sight", report.table_of(COLUMNS, rows), *lines)
-
-
-def _noticed_in_words(row: dict[str, Any]) -> str:
-    noticed = row["noticed"]
-    after, drift = noticed["after_s"], noticed["drift_m"]
-    height = (
-        f", {drift['p50']:.2f} m off in height by then, at most {drift['max']:.2f} m" if drift["max"] else ""
-    )
-    return (
-        f"{row['flight']}: noticed after {after['p50']:.1f} s, at most {after['max']:.1f} s{height}; never in "
-        f"{noticed['never']} of {row['runs']}; lowest {noticed['lowest_m']:.1f} m."
-    )
 
 
 BENCH = Benchmark(

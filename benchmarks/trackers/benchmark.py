@@ -18,10 +18,9 @@ from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import Command, Option, flag, option, path, pool
+from swarmtrack.benchmarks.harness import Command, Option, flag, option, pool
 from swarmtrack.benchmarks.trackers import page, results, timing
 from swarmtrack.benchmarks.trackers import peers as tracker_peers
-from swarmtrack.benchmarks.trackers.clips import play_clips
 from swarmtrack.benchmarks.trackers.play import MakePlayer, Score, applies, late_difference, record, score
 from swarmtrack.benchmarks.trackers.programme import Played, Programme, Result
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
@@ -79,7 +78,7 @@ class Trackers(Command):
     def _measure(self, args: argparse.Namespace) -> dict[str, Any]:
         programme = Programme(
             trackers=tuple(args.tracker), scenes=tuple(args.scene), runs=args.runs, quick=args.quick,
-            peers=args.peers, jobs=args.jobs, data=args.data,
+            peers=args.peers, jobs=args.jobs,
         )  # fmt: skip
         report.pyplot()  # before the work, not after it, should it be missing
         result = found(programme)
@@ -95,7 +94,6 @@ BENCH = Trackers(
         option("--scene", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
         flag("--peers", "Stone Soup's, too (needs swarmtrack[peers])"),
         option("--jobs", "processes (default: one a core)", type=int, default=os.cpu_count(), metavar="N"),
-        path("--data", "real detections, too: a folder with NAME.mp4 and NAME_gt.csv"),
     ),
 )
 add_arguments, run = BENCH.add_arguments, BENCH.run
@@ -107,7 +105,6 @@ def found(programme: Programme) -> Result:
     peers = tracker_peers.load() if programme.peers else {}
     blocks = [*_blocks(programme, tuple(peers)), *_ablation_blocks(programme)]
     played = play_all(blocks, programme.jobs)
-    clips = play_clips(programme.data, programme.own) if programme.data is not None else []
     costs, enumerated, reference = _time(programme, peers)
     ablation = [
         results.row(SCENES[scene], label.removeprefix(ABLATED), scores)
@@ -118,7 +115,7 @@ def found(programme: Programme) -> Result:
     rows = [results.row(SCENES[scene], label, scores) for (scene, label), scores in compared.items()]
     wall = time.monotonic() - began
     difference = {tracker: late_difference(tracker) for tracker in programme.own}
-    return Result(programme, rows, compared, ablation, costs, enumerated, reference, difference, clips, wall)
+    return Result(programme, rows, compared, ablation, costs, enumerated, reference, difference, wall)
 
 
 def play_all(blocks: Sequence[Block], jobs: int) -> Played:

@@ -10,12 +10,10 @@ from typing import Any
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.report import number
 from swarmtrack.benchmarks.trackers import plots as tracker_plots
-from swarmtrack.benchmarks.trackers.clips import ClipRow
 from swarmtrack.benchmarks.trackers.programme import Result
 from swarmtrack.benchmarks.trackers.results import Row, by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, SEED
 from swarmtrack.benchmarks.trackers.verdicts import Verdict, verdicts
-from swarmtrack.lab.score.clip_score import ClipScore
 from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 
 STONE_SOUP_RMSE_PX = {  # 50 runs each, measured when this project began; `--peers` measures anew
@@ -63,18 +61,6 @@ def _about(result: Result, found: Sequence[Verdict]) -> dict[str, Any]:
         "costs": [cost._asdict() for cost in result.costs],
         "enumeration": result.enumeration._asdict() if result.enumeration else None,
         "ablation": result.ablation,
-        "clips": [
-            {
-                "clip": row.clip,
-                "tracker": row.tracker,
-                "recall": row.score.recall,
-                "precision": row.score.precision,
-                "identity_switches": row.score.switches,
-                "centre_rmse_px": row.score.centre_rmse_px,
-                "ms_per_scan": row.ms,
-            }
-            for row in result.clips
-        ],
     }
 
 
@@ -88,7 +74,6 @@ def _markdown(result: Result, found: Sequence[Verdict], plots: Sequence[tuple[st
         "What must hold": report.table_of(VERDICT_COLUMNS, found, numbers=False),
         "Which tracker when": _choice(result),
         **by_family,
-        "Real detections": _clips(result) if result.clips else "",
         "The default tracker without its parts": _ablation(result) if result.ablation else "",
         "Cost": _costs(result) if result.costs else "",
     }
@@ -261,29 +246,6 @@ def _late(rows: Sequence[Row]) -> str:
     return "Error of `at(now)`, px RMSE, in the second half of a run, by latency:\n\n" + report.table(
         ["scene", "tracker", *(f"{latency} ms" for latency in latencies)],
         [[row["scene"], row["tracker"], *(number(v) for v in row["at_rmse_px"].values())] for row in late],
-    )
-
-
-CLIP_COLUMNS: report.Columns = (
-    ("clip", "{clip}"),
-    ("tracker", "{tracker}"),
-    ("recall", "{score.recall:.3f}"),
-    ("precision", "{score.precision:.3f}"),
-    ("switches", "{score.switches}"),
-    ("centre RMSE, px", "{score.centre_rmse_px:.2f}"),
-    ("ms", "{ms:.2f}"),
-)
-
-
-def _clips(result: Result) -> str:
-    lines = []
-    for tracker in dict.fromkeys(row.tracker for row in result.clips):
-        own = [row for row in result.clips if row.tracker == tracker]
-        total = sum((row.score for row in own), ClipScore())
-        lines += [*own, ClipRow("total", tracker, total, sum(row.ms for row in own) / len(own))]
-    return report.page(
-        "Each clip was looked at once by the shipped detector; every tracker has the agent's default parameters.",
-        report.table_of(CLIP_COLUMNS, lines),
     )
 
 

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 from swarmtrack.benchmarks.report import BenchmarkError
-from swarmtrack.benchmarks.trackers.clips import ClipRow
 from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, Score
 from swarmtrack.benchmarks.trackers.results import Row
 from swarmtrack.benchmarks.trackers.scenes import SCENES, find_scene
@@ -23,7 +21,7 @@ QUICK_SCENES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Programme:
-    """What to run. runs: in place of each scene's own; jobs: processes; data: labelled clips."""
+    """What to run. runs: in place of each scene's own; jobs: processes."""
 
     trackers: tuple[str, ...] = ()
     scenes: tuple[str, ...] = ()
@@ -31,7 +29,6 @@ class Programme:
     quick: bool = False
     peers: bool = False
     jobs: int = 1
-    data: Path | None = None
 
     def __post_init__(self) -> None:
         for name in self.scenes:
@@ -78,5 +75,4 @@ class Result(NamedTuple):
     reference_ms: float
     late_difference: dict[str, float]
     """By tracker: how much reading `at(now)` between scans changes the state at the scans."""
-    clips: list[ClipRow]
     wall_s: float

@@ -1,0 +1,31 @@
+"""The frames of a labelled clip, and what a detector finds in them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from swarmtrack.detection.detector import Detector
+from swarmtrack.messages import Detections, Frame, StampKind
+from swarmtrack.training.labelled_clips import Clip
+
+
+def frames(clip: Clip) -> Iterator[Frame]:
+    """As far as they can be decoded."""
+    capture = cv2.VideoCapture(str(clip.video))
+    try:
+        for number in range(clip.frames):
+            decoded, image = capture.read()
+            if not decoded:
+                break
+            yield Frame(number / clip.fps, 0.0, number, image.astype(np.uint8, copy=False), StampKind.MEDIA)
+    finally:
+        capture.release()
+
+
+def look(clip: Clip, detector: Detector) -> list[Detections]:
+    """What the detector finds in each frame."""
+    looks = (detector.look(detector.plan(frame)) for frame in frames(clip))
+    return [found for found in looks if found is not None]
