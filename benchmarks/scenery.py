@@ -181,15 +181,12 @@ def _programme(args: argparse.Namespace) -> Programme:
 
 
 def _rows(args: argparse.Namespace) -> list[Row]:
-    # Each is loaded now, not after an hour of others.
+    report.pyplot()  # before the work, not after it, should it be missing
+    for name in args.scenarios:
+        load_scenario(name)  # now, not after an hour of others
+    p = _programme(args)
     return [
-        Row(
-            load_scenario(name).name,
-            partial(fly, _programme(args), name),
-            summary,
-            {"name": name},
-            place=("scenarios", name),
-        )
+        Row(name, partial(fly, p, name), summary, {"name": name}, place=("scenarios", name))
         for name in args.scenarios
     ]
 
