@@ -44,7 +44,6 @@ HEIGHT_M = 8.0
 COMMAND_HZ = 10.0
 # Poses, of which one comes with what the range finder measures.
 GROUND_EVERY = 5
-JUDGE_HZ = 20.0
 FPS, LATENCY_S, IMU_HZ = 20.0 / 3.0, 0.15, 50.0
 START_SIGMA_M = 0.3
 # s, world time: engaged, and off they fly.

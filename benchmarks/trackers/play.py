@@ -47,16 +47,14 @@ MakePlayer = Callable[[Scene, Mapping[str, Any]], Player]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
-    """One tracker in one run. squared_error (k,) px²: mean over targets at each scan; found: where starts were not
-    told; at_px: RMSE [px] of `at(now)` by latency [s]; ms_per_scan: median processor time of predict and update.
-    """
+    """One tracker in one run. found: where starts were not told; at_px: RMSE [px] of `at(now)` by latency [s];
+    ms_per_scan: median processor time of predict and update."""
 
     rmse_px: float
     gospa_px: float
     swapped: bool
     lost: bool
     ms_per_scan: float
-    squared_error: Array
     found: FoundScore | None = None
     at_px: Mapping[float, float] = field(default_factory=dict)
 
@@ -206,7 +204,6 @@ def score(scene: Scene, take: Take, recording: Recording) -> Score:
             swapped=found.switches > 0,
             lost=found.untracked_at_end > 0,
             ms_per_scan=recording.ms_per_scan,
-            squared_error=found.squared_error,
             found=found,
         )
     judged = score_named(take.truth, recording.named)
@@ -216,7 +213,6 @@ def score(scene: Scene, take: Take, recording: Recording) -> Score:
         swapped=bool(judged.swapped.any()),
         lost=bool(judged.lost.any()),
         ms_per_scan=recording.ms_per_scan,
-        squared_error=judged.squared_error,
         at_px={
             latency: _late_error(take, recording, latency)
             for latency in scene.latencies_s

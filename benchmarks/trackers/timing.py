@@ -11,7 +11,7 @@ import copy
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -78,12 +78,11 @@ def crowd_costs(
     sizes: Sequence[int] = SIZES,
     *,
     repeats: int = 30,
-    parameters: Mapping[str, Any] | None = None,
     peers: Mapping[str, MakePlayer] | None = None,
 ) -> Iterator[Cost]:
     """layout: "crowded", all targets within CROWD_RADIUS_PX, or "spread", on a grid of 100 px; as many detections."""
     for n in sizes:
-        cost = cost_of(tracker, layout, n, n, repeats=repeats, parameters=parameters, peers=peers)
+        cost = cost_of(tracker, layout, n, n, repeats=repeats, peers=peers)
         yield cost
         if cost.least_ms > TOO_SLOW_MS:
             return
@@ -97,14 +96,13 @@ def cost_of(
     *,
     repeats: int = 30,
     longest_s: float = 3.0,
-    parameters: Mapping[str, Any] | None = None,
     peers: Mapping[str, MakePlayer] | None = None,
 ) -> Cost:
     """Of predict and update, `repeats` times or for longest_s, whichever ends first; three times at least unless a
     single scan is too slow."""
     scene, points = laid_out(layout, targets)
     make = peers[tracker] if peers and tracker in peers else None
-    player: Player = make(scene, parameters or {}) if make else make_tracker(scene, tracker, parameters)
+    player: Player = make(scene, {}) if make else make_tracker(scene, tracker)
     rng = np.random.default_rng(targets)
     player.initiate(0.0, points)
     for k in range(1, WARM_UP + 1):
@@ -160,13 +158,11 @@ def detect(points: Array, detections: int, rng: np.random.Generator) -> Array:
     return rng.permutation(np.concatenate([points + noise, false]))
 
 
-def at_cost(
-    tracker: str, tracks: int, *, repeats: int = 200, parameters: Mapping[str, Any] | None = None
-) -> Cost:
+def at_cost(tracker: str, tracks: int, *, repeats: int = 200) -> Cost:
     """Of `at(now)` with a rotation."""
     scene, points = laid_out("spread", tracks)
     points = points * 900.0 / points.max()
-    player = make_tracker(scene, tracker, parameters)
+    player = make_tracker(scene, tracker)
     player.initiate(0.0, points)
     _show(player, STEP_S, points)
     spent = []
