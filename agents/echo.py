@@ -9,13 +9,13 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.arguments import add_seconds, count
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.listening import hint_at, other_teams
+from swarmtrack.transport.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
 from swarmtrack.wire.checks import DecodeError

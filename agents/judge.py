@@ -16,9 +16,9 @@ from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.arguments import add_file, add_seconds
 from swarmtrack.errors import SourceError, SwarmtrackError, TransportError, ungrouped
+from swarmtrack.transport.network_arguments import add_network_arguments, network_of_monitor
 
 if TYPE_CHECKING:
     from swarmtrack.clock import Clock

@@ -7,8 +7,8 @@ import sys
 from importlib import import_module
 
 from swarmtrack import __version__
-from swarmtrack.agents.ending import end_at_once_if_stuck, reader_may_leave
 from swarmtrack.arguments import add_commands, unknown
+from swarmtrack.ending import end_at_once_if_stuck, reader_may_leave
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.log_lines import plain_warnings
 from swarmtrack.plain_text import plain

@@ -15,9 +15,9 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING
 
-from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.arguments import add_file, add_flag, port
 from swarmtrack.errors import SwarmtrackError, TransportError
+from swarmtrack.transport.network_arguments import add_network_arguments, network_of_monitor
 
 if TYPE_CHECKING:
     import ssl

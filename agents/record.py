@@ -8,13 +8,13 @@ import contextlib
 import signal
 import sys
 
-from swarmtrack.agents.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.arguments import add_flag, add_folder, add_seconds, positive
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.network_arguments import add_network_arguments, network_of_monitor
 from swarmtrack.transport.zenoh_listener import ZenohListener
 
 NEWS_S = 1.0  # s between two looks at how the disk is doing

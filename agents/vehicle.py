@@ -15,8 +15,8 @@ import threading
 from pathlib import Path
 
 from swarmtrack import __version__
-from swarmtrack.agents.ending import end_at_once_if_stuck, reader_may_leave
 from swarmtrack.arguments import add_file, add_flag, add_seconds
+from swarmtrack.ending import end_at_once_if_stuck, reader_may_leave
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, ungrouped
 from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
 

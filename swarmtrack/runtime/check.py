@@ -12,11 +12,11 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import CameraSection, DroneConfig, load_config
 from swarmtrack.config.formation import fields_of_view
 from swarmtrack.diagnosis.findings import fault
-from swarmtrack.diagnosis.formation_drawing import as_svg, as_text
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan, HalfView
 from swarmtrack.outputs.destinations import check_outputs
+from swarmtrack.outputs.formation_drawing import as_svg, as_text
 from swarmtrack.runtime.assembly import Parts, assemble
 
 # What --check says of `autopilot.tell` beyond the harmless (docs/telling.md).

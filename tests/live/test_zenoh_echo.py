@@ -28,8 +28,9 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.tracks import tracks_message
 
 PROGRAM = (
-    "import argparse, sys; from swarmtrack.agents import echo, ending; p = argparse.ArgumentParser();"
-    "echo.add_arguments(p)\nwith ending.reader_may_leave(): sys.exit(echo.run(p.parse_args()))"
+    "import argparse, sys; from swarmtrack import ending; from swarmtrack.agents import echo\n"
+    "p = argparse.ArgumentParser(); echo.add_arguments(p)\n"
+    "with ending.reader_may_leave(): sys.exit(echo.run(p.parse_args()))"
 )
 
 
