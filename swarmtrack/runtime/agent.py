@@ -34,8 +34,8 @@ from swarmtrack.messages import (
 from swarmtrack.outputs.console import Console
 from swarmtrack.outputs.destinations import JsonLines, as_seen, video_paths
 from swarmtrack.outputs.live_video import LiveVideo
-from swarmtrack.outputs.mounting_words import describe_mounting, describe_seam
 from swarmtrack.outputs.pilot_notices import PilotNotices
+from swarmtrack.outputs.wording import describe
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.assembly import Parts
@@ -328,9 +328,9 @@ class Agent:
                 case DoubtNews():
                     self._team.on_doubt(event)
                 case SeamNews():
-                    self._warn(describe_seam(event))
+                    self._warn(describe(event))
                 case MountingNews():
-                    self._warn(describe_mounting(event))
+                    self._warn(describe(event))
 
     def _warn(self, line: str) -> None:
         """In the log, and for whoever reads the health."""

@@ -15,7 +15,6 @@ import numpy as np
 
 from swarmtrack.autopilot.notices import Severity
 from swarmtrack.clock import UTC_SIGMA, Clock
-from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.identity.proof import Astray
@@ -30,7 +29,6 @@ from swarmtrack.messages import (
     MotionReport,
     PeerArrived,
     PeerDeparted,
-    PeerEvent,
     PeerExpelled,
     RangeReport,
     SightingReport,
@@ -38,6 +36,7 @@ from swarmtrack.messages import (
 from swarmtrack.motion.sway import next_begin, possible_begins
 from swarmtrack.outputs import periods
 from swarmtrack.outputs.pilot_notices import PilotNotices
+from swarmtrack.outputs.wording import describe, describe_filed
 from swarmtrack.perceived import Perceived
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
@@ -144,7 +143,7 @@ class Teamwork:
         """Every event of the transport into Onboard, and a line of it into health and log; first what is filed."""
         for announcement in self._filed:
             self._tell(replace(announcement, t=self._clock.now()))
-            self._note(announcement.drone_id, _describe_filed(announcement), logging.INFO)
+            self._note(announcement.drone_id, describe_filed(announcement), logging.INFO)
         for motion in self._agreed:
             self._tell(motion)
         async for event in self._transport.events():
@@ -165,7 +164,7 @@ class Teamwork:
                     self._asked.set()
             about = 0 if isinstance(event, AnnouncementRequested) else event.drone_id  # who asks is not told
             level = logging.WARNING if isinstance(event, IdClash | PeerExpelled) else logging.INFO
-            self._note(about, _describe(event), level)
+            self._note(about, describe(event), level)
             self._notices.on_peer(event)
 
     async def announce(self) -> None:
@@ -255,24 +254,24 @@ class Teamwork:
         """What the team was told of our pose was told with another heading: announce it again."""
         if not self._announced:
             return
-        self._note(self._drone_id, _describe_heading(news), logging.INFO)
+        self._note(self._drone_id, describe(news), logging.INFO)
         self._asked.set()
 
     def on_astray(self, found: Astray) -> None:
         """A teammate is not where it says, by how it moves."""
-        self._note(found.drone_id, _describe_astray(found), logging.WARNING)
+        self._note(found.drone_id, describe(found), logging.WARNING)
 
     def on_frame(self, news: FrameNews) -> None:
         """A teammate's start is not where it was announced, or is after all."""
-        self._note(news.drone_id, _describe_frame(news), logging.WARNING)
+        self._note(news.drone_id, describe(news), logging.WARNING)
 
     def on_range_news(self, news: RangeNews) -> None:
         """The distances that our ranging radio measures do not fit what we see, or do again."""
-        self._note(news.drone_id, _describe_range(news), logging.WARNING)
+        self._note(news.drone_id, describe(news), logging.WARNING)
 
     def on_doubt(self, news: DoubtNews) -> None:
         """Where this drone is, it does not know, or knows again: the team must hear of it."""
-        self._note(self._drone_id, _describe_doubt(news), logging.WARNING)
+        self._note(self._drone_id, describe(news), logging.WARNING)
         self._notices.on_doubt(news)
         if self._announced:
             self._asked.set()
@@ -281,7 +280,7 @@ class Teamwork:
         """Another drone sees it otherwise: said once per pair, and whenever we give in."""
         pair = (found.observer, found.drone_id)
         if found.overruled or pair not in self._disputed:
-            self._note(found.observer, _describe_disagreement(found), logging.WARNING)
+            self._note(found.observer, describe(found), logging.WARNING)
             self._notices.on_disagreement(found)
         self._disputed.add(pair)
         if found.overruled:
@@ -303,87 +302,3 @@ class Teamwork:
 async def _speak_for(transport: Transport, announcement: Announcement) -> None:
     await transport.open()
     await transport.announce(announcement)
-
-
-def _describe(event: PeerEvent) -> str:
-    match event:
-        case Announcement(drone_id=drone_id, boot=boot, sequence=sequence):
-            again = f", number {sequence}" if sequence > 1 else ""
-            return f"drone {drone_id} announced itself (boot {boot}{again})"
-        case PeerArrived(drone_id=drone_id, boot=boot):
-            return f"drone {drone_id} is alive (boot {boot})"
-        case PeerDeparted(drone_id=drone_id, boot=boot):
-            return f"drone {drone_id} is gone (boot {boot})"
-        case PeerExpelled(drone_id=drone_id):
-            return f"drone {drone_id} is no longer in the team's roster, and is not heard any more"
-        case IdClash(drone_id=drone_id, boots=boots, ours=True):
-            said = f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
-            return f"{said}: give one another drone.id"
-        case IdClash(drone_id=drone_id, boots=boots):
-            return (
-                f"two agents speak as drone {drone_id} (boots {', '.join(boots)}): give one another drone.id; "
-                f"until then nobody is taken for it"
-            )
-        case AnnouncementRequested():
-            return "a teammate asked where we are: announced again"
-        case SightingReport(observer=observer):
-            return f"drone {observer} told whom it sees"
-        case MotionReport(drone_id=drone_id):
-            return f"drone {drone_id} told how it moves"
-        case RangeReport(other=other):
-            return f"our ranging radio measured how far drone {other} is"
-
-
-def _describe_filed(announcement: Announcement) -> str:
-    north, east, down = announcement.position
-    return (
-        f"drone {announcement.drone_id} starts at [{north:.1f}, {east:.1f}, {down:.1f}] m, by the team's file"
-    )
-
-
-def _describe_heading(news: HeadingNews) -> str:
-    if news.step:
-        return f"our heading stepped by {math.degrees(news.step):+.1f}° against the gyro: announced again"
-    return "our heading has been aligned in flight: announced again"
-
-
-def _describe_astray(found: Astray) -> str:
-    if found.miss_m is None:
-        return (
-            f"track {found.track_id} does not move as drone {found.drone_id} says, whose name it had: doubted"
-        )
-    return (
-        f"drone {found.drone_id} moves as track {found.track_id}, {found.miss_m:.1f} m from where it says that it is: "
-        f"its start or our heading is wrong, and its name follows the motion"
-    )
-
-
-def _describe_frame(news: FrameNews) -> str:
-    if news.off_m is None:
-        return f"drone {news.drone_id}'s start fits what we see again"
-    degrees = abs(math.degrees(news.turn))
-    return (
-        f"drone {news.drone_id}'s start is {news.off_m:.1f} m and {degrees:.0f}° off, or ours is: what it says is "
-        "turned and shifted into our frame"
-    )
-
-
-def _describe_range(news: RangeNews) -> str:
-    radio = f"the distance to drone {news.drone_id} by our ranging radio"
-    if news.distance is None:
-        return f"{radio} fits what we see again"
-    return f"{radio}, {news.distance:.1f} m, does not fit what we see and is not used: is it set up for that drone?"
-
-
-def _describe_doubt(news: DoubtNews) -> str:
-    if news.doubted:
-        return f"{SELF_DOUBT}: until that is over the team is told that our place is unknown"
-    return "our start and heading fit what we see again: announced again"
-
-
-def _describe_disagreement(found: Disagreement) -> str:
-    verdict = "we give that identity up and ask again" if found.overruled else "we keep to what we see"
-    return (
-        f"drone {found.observer} and we see drone {found.drone_id} in different places "
-        f"({found.miss_m:.1f} m apart): {verdict}"
-    )

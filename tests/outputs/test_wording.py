@@ -1,4 +1,4 @@
-"""What the flight says of the mounting of cameras, in words (outputs/mounting_words.py)."""
+"""What the flight says of the mounting of cameras, in words (outputs/wording.py)."""
 
 import math
 
@@ -7,13 +7,13 @@ import numpy as np
 from swarmtrack.cameras.picture_turn import MountingNews
 from swarmtrack.cameras.seams import FoundTurn, SeamNews
 from swarmtrack.geometry import rotation
-from swarmtrack.outputs.mounting_words import describe_mounting, describe_seam
+from swarmtrack.outputs.wording import describe
 
 
 def test_a_camera_that_is_turned_is_said_with_the_angles_that_would_fit():
     fits = rotation.from_euler(0.0, 0.0, math.radians(92.0)) @ rotation.BODY_FROM_FORWARD_CAMERA
     turn = FoundTurn(np.array([0.0, math.radians(-2.0), 0.0]), math.radians(0.2), 9)
-    said = describe_seam(SeamNews(0, 1, turn, fits))
+    said = describe(SeamNews(0, 1, turn, fits))
     assert said.startswith("cameras 1 and 2 are turned by 2.0° against what is written")
     assert said.endswith("9 times. If camera 1 is right, rpy_deg = [0, 0, 92] would fit camera 2")
 
@@ -21,23 +21,23 @@ def test_a_camera_that_is_turned_is_said_with_the_angles_that_would_fit():
 def test_a_camera_of_which_only_an_overlap_tells_says_so():
     fits = rotation.from_euler(0.0, 0.0, math.radians(92.0)) @ rotation.BODY_FROM_FORWARD_CAMERA
     turn = FoundTurn(np.array([0.0, math.radians(-2.0), 0.0]), math.radians(0.2), 0, 300)
-    said = describe_seam(SeamNews(0, 1, turn, fits))
+    said = describe(SeamNews(0, 1, turn, fits))
     assert (
         "by teammates that both show. If camera 1 is right, rpy_deg = [0, 0, 92] would fit camera 2" in said
     )
 
 
 def test_cameras_that_do_not_fit_together_make_one_think_of_the_cables():
-    said = describe_seam(SeamNews(1, 3, None, None))
+    said = describe(SeamNews(1, 3, None, None))
     assert said.startswith("cameras 2 and 4 do not fit together")
     assert "cables swapped" in said
     assert "upside down" in said
 
 
 def test_a_camera_whose_picture_turns_the_wrong_way_is_said_with_what_may_be_wrong():
-    said = describe_mounting(MountingNews(9.0, 1, fits=False, like=None))
+    said = describe(MountingNews(9.0, 1, fits=False, like=None))
     assert said.startswith("the picture of camera 2 turns against the gyro: is it upside down")
     assert said.endswith("Who it shows has no name meanwhile")
-    swapped = describe_mounting(MountingNews(9.0, 1, fits=False, like=0))
+    swapped = describe(MountingNews(9.0, 1, fits=False, like=0))
     assert "turns as camera 1 should: are their cables swapped?" in swapped
-    assert "again" in describe_mounting(MountingNews(9.0, 1, fits=True, like=None))
+    assert "again" in describe(MountingNews(9.0, 1, fits=True, like=None))

@@ -1,0 +1,147 @@
+"""Findings of a flight as sentences for health, log and console: news of the team, of starts, headings and cameras.
+
+People count cameras from 1.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from swarmtrack.cameras.picture_turn import MountingNews
+from swarmtrack.cameras.seams import SeamNews
+from swarmtrack.diagnosis.readiness import SELF_DOUBT
+from swarmtrack.geometry import rotation
+from swarmtrack.identity.consensus import Disagreement
+from swarmtrack.identity.proof import Astray
+from swarmtrack.messages import (
+    Announcement,
+    AnnouncementRequested,
+    DoubtNews,
+    HeadingNews,
+    IdClash,
+    MotionReport,
+    PeerArrived,
+    PeerDeparted,
+    PeerEvent,
+    PeerExpelled,
+    RangeReport,
+    SightingReport,
+)
+from swarmtrack.relative.frames import FrameNews
+from swarmtrack.relative.range_watch import RangeNews
+
+News = (
+    PeerEvent
+    | HeadingNews
+    | Astray
+    | FrameNews
+    | RangeNews
+    | DoubtNews
+    | Disagreement
+    | SeamNews
+    | MountingNews
+)
+
+
+def describe(news: News) -> str:
+    match news:
+        case Announcement(drone_id=drone_id, boot=boot, sequence=sequence):
+            again = f", number {sequence}" if sequence > 1 else ""
+            return f"drone {drone_id} announced itself (boot {boot}{again})"
+        case PeerArrived(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is alive (boot {boot})"
+        case PeerDeparted(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is gone (boot {boot})"
+        case PeerExpelled(drone_id=drone_id):
+            return f"drone {drone_id} is no longer in the team's roster, and is not heard any more"
+        case IdClash(drone_id=drone_id, boots=boots, ours=True):
+            said = f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
+            return f"{said}: give one another drone.id"
+        case IdClash(drone_id=drone_id, boots=boots):
+            return (
+                f"two agents speak as drone {drone_id} (boots {', '.join(boots)}): give one another drone.id; "
+                f"until then nobody is taken for it"
+            )
+        case AnnouncementRequested():
+            return "a teammate asked where we are: announced again"
+        case SightingReport(observer=observer):
+            return f"drone {observer} told whom it sees"
+        case MotionReport(drone_id=drone_id):
+            return f"drone {drone_id} told how it moves"
+        case RangeReport(other=other):
+            return f"our ranging radio measured how far drone {other} is"
+        case HeadingNews(step=step) if step:
+            return f"our heading stepped by {math.degrees(step):+.1f}° against the gyro: announced again"
+        case HeadingNews():
+            return "our heading has been aligned in flight: announced again"
+        case Astray(miss_m=None):
+            return f"track {news.track_id} does not move as drone {news.drone_id} says, whose name it had: doubted"
+        case Astray():
+            return (
+                f"drone {news.drone_id} moves as track {news.track_id}, {news.miss_m:.1f} m from where it says that it "
+                "is: its start or our heading is wrong, and its name follows the motion"
+            )
+        case FrameNews(off_m=None):
+            return f"drone {news.drone_id}'s start fits what we see again"
+        case FrameNews():
+            return (
+                f"drone {news.drone_id}'s start is {news.off_m:.1f} m and {abs(math.degrees(news.turn)):.0f}° off, or "
+                "ours is: what it says is turned and shifted into our frame"
+            )
+        case RangeNews(drone_id=drone_id, distance=distance):
+            radio = f"the distance to drone {drone_id} by our ranging radio"
+            if distance is None:
+                return f"{radio} fits what we see again"
+            return f"{radio}, {distance:.1f} m, does not fit what we see and is not used: is it set up for that drone?"
+        case DoubtNews(doubted=True):
+            return f"{SELF_DOUBT}: until that is over the team is told that our place is unknown"
+        case DoubtNews():
+            return "our start and heading fit what we see again: announced again"
+        case Disagreement():
+            verdict = "we give that identity up and ask again" if news.overruled else "we keep to what we see"
+            return (
+                f"drone {news.observer} and we see drone {news.drone_id} in different places "
+                f"({news.miss_m:.1f} m apart): {verdict}"
+            )
+        case SeamNews():
+            return _describe_seam(news)
+        case MountingNews():
+            return _describe_mounting(news)
+
+
+def describe_filed(announcement: Announcement) -> str:
+    """Of an announcement that the team's file makes."""
+    north, east, down = announcement.position
+    return (
+        f"drone {announcement.drone_id} starts at [{north:.1f}, {east:.1f}, {down:.1f}] m, by the team's file"
+    )
+
+
+def _describe_seam(news: SeamNews) -> str:
+    first, second = news.first + 1, news.second + 1
+    if news.turn is None or news.body_from_second is None:
+        return (
+            f"cameras {first} and {second} do not fit together: what leaves one does not come into the other. Are "
+            "their cables swapped, is one of them upside down, or is a body_from_camera wrong?"
+        )
+    turned = np.degrees(np.linalg.norm(news.turn.angle))
+    forward = rotation.BODY_FROM_FORWARD_CAMERA
+    roll, pitch, yaw = np.degrees(rotation.to_euler(news.body_from_second @ forward.T)).round(1) + 0.0
+    by = f"went from one to the other {news.turn.crossings} times" if news.turn.crossings else "both show"
+    return (
+        f"cameras {first} and {second} are turned by {turned:.1f}° against what is written, by teammates that {by}. "
+        f"If camera {first} is right, rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit camera {second}"
+    )
+
+
+def _describe_mounting(news: MountingNews) -> str:
+    camera = f"camera {news.camera + 1}"
+    if news.fits:
+        return f"{camera} turns with the gyro again, as it is written: who it shows gets a name again"
+    if news.like is not None:
+        it_is = f"as camera {news.like + 1} should: are their cables swapped?"
+    else:
+        it_is = "against the gyro: is it upside down, or its picture mirrored, or body_from_camera wrong?"
+    return f"the picture of {camera} turns {it_is} Who it shows has no name meanwhile"
