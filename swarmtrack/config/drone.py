@@ -701,6 +701,11 @@ class DroneConfig(LayeredConfig):
         """Whether this drone's agent may fly it: it is a follower, and somebody has enabled that."""
         return self.formation.enabled and self.formation.parameters(self.drone.id) is not None
 
+    @property
+    def is_alone(self) -> bool:
+        """Whether there is no network, and so no team."""
+        return self.network.transport == "memory"
+
 
 class TeamConfig(LayeredConfig):
     """What team members other than drones need: the network. The rest of the file is for agents to judge."""

@@ -36,7 +36,7 @@ CLOCKS_AGREE = 2.0  # s
 async def ask(config: DroneConfig, clock: Clock, seconds: float) -> NetworkFacts:
     """Who answers within `seconds`, and what they say of themselves."""
     facts = NetworkFacts(config.drone.id, config.network.team)
-    if config.network.transport == "memory":
+    if config.is_alone:
         return replace(facts, in_process=True)
     try:
         credentials = credentials_of(config, clock)

@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from swarmtrack.messages import Array
+from swarmtrack.messages import Array, TrackStatus
 from swarmtrack.monitor.drone_cameras import FAR_M, DroneCameras, distances, tracks_of
+from swarmtrack.outputs.drawing import DrawnTrack, in_picture
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage, track_cov
 from swarmtrack.wire.video import VideoMessage
 
-AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
-SIGMAS = 3.0  # of an ellipse
-
-
-class _Placed(NamedTuple):
-    """A track in the picture: centre (2,), by_ideal (2, 2): d pixel here / d its own undistorted pixel, size (2,)."""
-
-    track: TrackMessage
-    centre: Array
-    by_ideal: Array
-    size: Array
+Distances = dict[int, float]
+"""By track, m."""
 
 
 def boxes(
@@ -32,52 +24,45 @@ def boxes(
     """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad).
 
     camera: whose picture it is. rig: all cameras of the drone, where it has several. A track is in the pixels of one
-    camera; where pictures overlap it is drawn in the others' as well, by how they are mounted.
+    camera; where pictures overlap it is drawn in the others' as well, by how they are mounted. Tentative tracks are
+    not on the page: not here, on its map or in its strip of directions.
     """
     if tracks is None or not tracks.tracks:
         return []
     share = view.width / view.lens.width
     proved = {proof.track_id: round(proof.proved_s, 1) for proof in tracks.proofs}
     away = distances(tracks)
-    placed = list(_own(view, tracks, camera))
+    shown = list(_own(view, tracks, away, camera))
     if rig is not None and camera < len(rig.lenses):
-        placed += _of_others(tracks, away, camera, rig)
-    found = []
-    for track, uv, by_ideal, size in placed:
-        cov = by_ideal @ track_cov(track)[::2, ::2] @ by_ideal.T
-        variances, axes = np.linalg.eigh(cov)
-        minor, major = share * SIGMAS * np.sqrt(np.maximum(variances, 0.0))
-        tip = share * (uv + AHEAD_S * (by_ideal @ (track.vu_px_s, track.vv_px_s)))
-        found.append(
-            {
-                "track": track.id,
-                "identity": track.identity,
-                "probability": round(track.identity_probability, 3),
-                "lost": track.status == "lost",
-                "proved_s": proved.get(track.id),
-                "distance_m": away.get(track.id),
-                "box": [round(float(x), 1) for x in share * np.concatenate([uv, size])],
-                "tip": [round(float(x), 1) for x in tip],
-                "ellipse": [round(float(x), 2) for x in (major, minor, np.arctan2(axes[1, 1], axes[0, 1]))],
-            }
-        )
-    return found
+        shown += _of_others(tracks, away, camera, rig)
+    return [_record(track, share) | {"proved_s": proved.get(track.track_id)} for track in shown]
 
 
-def _own(view: VideoMessage, tracks: TracksMessage, number: int) -> Iterator[_Placed]:
+def _record(track: DrawnTrack, share: float) -> dict[str, Any]:
+    """share: px of the JPEG per px of the camera."""
+    long, short, angle = track.ellipse
+    return {
+        "track": track.track_id,
+        "identity": track.identity,
+        "lost": track.is_lost,
+        "distance_m": track.distance_m,
+        "box": (share * np.concatenate([track.centre, track.box[1] - track.box[0]])).round(1).tolist(),
+        "tip": (share * track.arrow[1]).round(1).tolist(),
+        "ellipse": [round(share * long, 2), round(share * short, 2), round(angle, 2)],
+    }
+
+
+def _own(view: VideoMessage, tracks: TracksMessage, away: Distances, number: int) -> Iterator[DrawnTrack]:
     """Tracks in this camera's pixels."""
-    camera = camera_from(view.lens)
     shown = tracks_of(tracks, number)
-    centre = camera.distort(np.array([(track.u_px, track.v_px) for track in shown]).reshape(-1, 2))
-    for track, uv, J in zip(shown, centre, camera.undistort_jacobian(centre), strict=True):
-        # Else it is outside what the lens can show.
-        if np.isfinite(uv).all() and np.isfinite(J).all():
-            yield _Placed(track, uv, np.linalg.inv(J), np.array([track.w_px, track.h_px]))
+    ideal = np.array([(track.u_px, track.v_px) for track in shown]).reshape(-1, 2)
+    for k, uv, by_ideal in in_picture(camera_from(view.lens), ideal):
+        yield _drawn(shown[k], away, uv, by_ideal, np.array([shown[k].w_px, shown[k].h_px]))
 
 
 def _of_others(
-    tracks: TracksMessage, away: dict[int, float], camera: int, rig: DroneCameras
-) -> Iterator[_Placed]:
+    tracks: TracksMessage, away: Distances, camera: int, rig: DroneCameras
+) -> Iterator[DrawnTrack]:
     """Tracks in other cameras' pixels that this one sees, too."""
     for number in range(len(rig.lenses)):
         for track in tracks_of(tracks, number) if number != camera else ():
@@ -89,4 +74,18 @@ def _of_others(
             if not np.isfinite(pixels).all() or not rig.lenses[camera].contains(pixels[:1])[0]:
                 continue
             size = pixels[1:5].max(axis=0) - pixels[1:5].min(axis=0)
-            yield _Placed(track, pixels[0], (pixels[5:] - pixels[0]).T, size)
+            yield _drawn(track, away, pixels[0], (pixels[5:] - pixels[0]).T, size)
+
+
+def _drawn(track: TrackMessage, away: Distances, centre: Array, by_ideal: Array, size: Array) -> DrawnTrack:
+    """by_ideal (2, 2): d pixel here / d its own undistorted pixel."""
+    return DrawnTrack(
+        track.id,
+        track.identity,
+        TrackStatus(track.status),
+        away.get(track.id),
+        centre,
+        by_ideal @ (track.vu_px_s, track.vv_px_s),
+        by_ideal @ track_cov(track)[::2, ::2] @ by_ideal.T,
+        size,
+    )

@@ -12,7 +12,7 @@ from typing import TextIO
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import IdentifiedTrack, Identity, RelativeState, ScanReport, TrackStatus
-from swarmtrack.outputs.destinations import SeenTrack, as_seen
+from swarmtrack.outputs.drawing import SeenTrack, as_seen, name_of
 from swarmtrack.relative.read_out import read_out
 
 log = logging.getLogger(__name__)
@@ -83,7 +83,7 @@ class Console:
             share = 100.0 * seen.scans / max(self._scans, 1)
             tracks = f"{seen.tracks} track{'s' if seen.tracks > 1 else ''}"
             self._print(
-                f"  {_name(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}"
+                f"  {name_of(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}"
             )
         if not self._seen:
             self._print("  nobody was seen")
@@ -97,7 +97,7 @@ class Console:
     def _describe(self, seen: SeenTrack) -> str:
         identity = seen.entry.identity
         sigma = max(seen.cov[0, 0], seen.cov[1, 1]) ** 0.5
-        name = _name(identity) if identity is not None else f"track {seen.entry.track.id} (unknown)"
+        name = name_of(identity) if identity is not None else f"track {seen.entry.track.id} (unknown)"
         if self._colour and isinstance(identity, int):
             name = f"\x1b[1;{ANSI[identity % len(ANSI)]}m{name}\x1b[0m"
         camera = f" of camera {seen.entry.track.camera + 1}" if len(self._lenses) > 1 else ""
@@ -123,10 +123,6 @@ class Console:
             log.warning("nobody reads the console any more: flying on without it")
             with suppress(OSError):
                 self._stream.close()  # or Python tries to write the rest once more at its end, and fails
-
-
-def _name(identity: Identity) -> str:
-    return "unknown" if identity is None else "foreign" if identity == "foreign" else f"drone {identity}"
 
 
 def _is_confirmed(entry: IdentifiedTrack) -> bool:

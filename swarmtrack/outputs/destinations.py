@@ -1,23 +1,19 @@
-"""What an agent writes for people, beside the network: a JSON line for each scan; `annotated_video` adds a picture.
-
-Pixels here are those of the image as the camera gave it: the tracker's undistorted ones are distorted again.
-"""
+"""What an agent writes for people, beside the network: a JSON line for each scan; `annotated_video` adds a picture."""
 
 from __future__ import annotations
 
 import json
 import logging
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple, TextIO
+from typing import Any, TextIO
 
 import numpy as np
 
 from swarmtrack.errors import SourceError
-from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, IdentifiedTrack, ScanReport
+from swarmtrack.messages import ScanReport
+from swarmtrack.outputs.drawing import SeenTrack
 from swarmtrack.relative.record import relative_record
 
 log = logging.getLogger(__name__)
@@ -25,45 +21,6 @@ log = logging.getLogger(__name__)
 WEBM = ".webm"  # VP8, which browsers play
 VIDEO_KEY = "output.video"  # of a config
 VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".avi", WEBM)  # all others take MPEG-4
-
-
-class SeenTrack(NamedTuple):
-    """A track in the pixels of the image: centre (2,), velocity (2,), covariance (2, 2) of the centre, size (2,)."""
-
-    entry: IdentifiedTrack
-    centre: Array
-    velocity: Array
-    cov: Array
-    size: Array
-
-
-def as_seen(report: ScanReport, *lenses: PinholeCamera) -> list[SeenTrack]:
-    """The tracks of a scan, each back in the image as its camera gave it. lenses: of all cameras of the drone."""
-    entries = report.tracks.tracks
-    if len(lenses) == 1:
-        return _as_seen(entries, lenses[0])
-    seen = {
-        track.entry.track.id: track
-        for camera, lens in enumerate(lenses)
-        for track in _as_seen([entry for entry in entries if entry.track.camera == camera], lens)
-    }
-    return [seen[entry.track.id] for entry in entries if entry.track.id in seen]
-
-
-def _as_seen(entries: Sequence[IdentifiedTrack], camera: PinholeCamera) -> list[SeenTrack]:
-    """Those of one camera."""
-    ideal = np.array([entry.track.mean[::2] for entry in entries]).reshape(-1, 2)
-    centre = camera.distort(ideal)
-    undo = camera.undistort_jacobian(centre)
-    seen = []
-    for entry, uv, J in zip(entries, centre, undo, strict=True):
-        if not (np.isfinite(uv).all() and np.isfinite(J).all()):
-            continue  # outside what the lens can show
-        by_ideal = np.linalg.inv(J)
-        track = entry.track
-        cov = by_ideal @ track.cov[::2, ::2] @ by_ideal.T
-        seen.append(SeenTrack(entry, uv, by_ideal @ track.mean[1::2], cov, track.size))
-    return seen
 
 
 class JsonLines:

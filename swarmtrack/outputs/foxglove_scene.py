@@ -37,16 +37,15 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose as Placed
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import (
-    FOREIGN,
     MOST_CAMERAS,
     Array,
     IdentifiedTrack,
-    Identity,
     RelativeState,
     ScanReport,
     TrackStatus,
 )
-from swarmtrack.outputs.palette import colour_of
+from swarmtrack.outputs.drawing import SIGMAS, name_of
+from swarmtrack.outputs.palette import Rgb, colour_of
 from swarmtrack.recording.outputs import image_topic
 from swarmtrack.recording.writer import Topic
 from swarmtrack.relative.read_out import read_out
@@ -60,7 +59,6 @@ CALIBRATIONS = [
     for k in range(MOST_CAMERAS)
 ]
 
-SIGMAS = 3.0
 # m: of the ball where the teammate is most probably, and least of an ellipsoid's axes.
 BALL, LEAST = 0.3, 0.01
 # s: what is not said again by then is seen no more.
@@ -69,7 +67,6 @@ LIFETIME = Duration(sec=1, nsec=0)
 CAMERAS_S = 1.0
 # m: how far the lines around a field of view go, and a ray to who knows how far.
 VIEW_M, RAY_M = 1.0, 30.0
-GREY, WHITE = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0)
 LINES = 0.8  # their opacity
 ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
@@ -134,8 +131,8 @@ class FoxgloveScene:
             frame_id=name,
             id=name,
             lines=[
-                _line(LinePrimitiveLineType.LineLoop, border, colour_of_name(None, LINES)),
-                _line(LinePrimitiveLineType.LineList, edges, colour_of_name(None, LINES)),
+                _line(LinePrimitiveLineType.LineLoop, border, shade(colour_of(None), LINES)),
+                _line(LinePrimitiveLineType.LineList, edges, shade(colour_of(None), LINES)),
             ],
         )
 
@@ -166,13 +163,13 @@ class FoxgloveScene:
                 _line(
                     LinePrimitiveLineType.LineStrip,
                     (np.zeros(3), far * ray),
-                    colour_of_name(entry.identity, LINES),
+                    shade(colour_of(entry.identity), LINES),
                 )
             ],
         )
 
     def _entity(self, state: RelativeState, stamp: Timestamp) -> SceneEntity:
-        r, g, b = (value / 255 for value in colour_of(state.drone_id))
+        colour = colour_of(state.drone_id)
         read = read_out(state.position, state.velocity, state.cov)
         variances, axes = np.linalg.eigh(state.cov[:3, :3])
         axes[:, 0] *= np.sign(np.linalg.det(axes))
@@ -185,24 +182,24 @@ class FoxgloveScene:
             lifetime=LIFETIME,
             spheres=[
                 SpherePrimitive(
-                    pose=_pose(state.position, axes),
+                    pose=pose_of(state.position, axes),
                     size=_vector(diameters),
-                    color=Color(r=r, g=g, b=b, a=0.3),
+                    color=shade(colour, 0.3),
                 ),
                 SpherePrimitive(
-                    pose=_pose(state.position, np.eye(3)),
+                    pose=pose_of(state.position, np.eye(3)),
                     size=Vector3(x=BALL, y=BALL, z=BALL),
-                    color=Color(r=r, g=g, b=b, a=1.0),
+                    color=shade(colour),
                 ),
             ],
             texts=[
                 TextPrimitive(
-                    pose=_pose(label, np.eye(3)),
+                    pose=pose_of(label, np.eye(3)),
                     billboard=True,
                     font_size=14.0,
                     scale_invariant=True,
-                    color=Color(r=r, g=g, b=b, a=1.0),
-                    text=f"{state.drone_id}  {read.distance:.1f} m ± {read.sigma:.1f}",
+                    color=shade(colour),
+                    text=f"{name_of(state.drone_id)} {read.distance:.1f} m ± {read.sigma:.1f}",
                 )
             ],
         )
@@ -214,7 +211,7 @@ class FoxgloveScene:
             timestamp=stamp,
             frame_id=self._ned,
             body_frame_id=f"{self._body}/teammate-{state.drone_id}",
-            pose=_pose(state.position, np.eye(3)),
+            pose=pose_of(state.position, np.eye(3)),
             linear_velocity=_vector(state.velocity),
             pose_covariance=_padded(state.cov[:3, :3]),
             velocity_covariance=_padded(state.cov[3:, 3:]),
@@ -254,7 +251,7 @@ def calibration(lens: PinholeCamera, frame_id: str, stamp: Timestamp) -> CameraC
 def _line(kind: LinePrimitiveLineType, points: Sequence[Array] | Array, color: Color) -> LinePrimitive:
     return LinePrimitive(
         type=kind,
-        pose=_pose(np.zeros(3), np.eye(3)),
+        pose=pose_of(np.zeros(3), np.eye(3)),
         thickness=1.0,
         scale_invariant=True,
         points=[Point3(x=x, y=y, z=z) for x, y, z in np.asarray(points).tolist()],
@@ -262,12 +259,9 @@ def _line(kind: LinePrimitiveLineType, points: Sequence[Array] | Array, color: C
     )
 
 
-def colour_of_name(identity: Identity, opacity: float) -> Color:
-    """opacity: 0 … 1."""
-    if identity is None or identity == FOREIGN:
-        r, g, b = GREY if identity is None else WHITE
-    else:
-        r, g, b = (value / 255 for value in colour_of(identity))
+def shade(colour: Rgb, opacity: float = 1.0) -> Color:
+    """A colour as Foxglove has it. opacity: 0 … 1."""
+    r, g, b = (value / 255 for value in colour)
     return Color(r=r, g=g, b=b, a=opacity)
 
 
@@ -281,7 +275,8 @@ def _transform(parent: str, child: str, parent_from_child: Placed, stamp: Timest
     )
 
 
-def _pose(position: Array, rotation: Array) -> Pose:
+def pose_of(position: Array, rotation: Array) -> Pose:
+    """As Foxglove has it."""
     return Pose(position=_vector(position), orientation=_quaternion(rotation))
 
 

@@ -3,12 +3,10 @@ Lichtblick and rerun show without being told how. A replay reads none of it but 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 import msgspec
 from foxglove.messages import (
-    Color,
     CompressedImage,
     ImageAnnotations,
     Log,
@@ -16,23 +14,18 @@ from foxglove.messages import (
     Point2,
     PointsAnnotation,
     PointsAnnotationType,
-    Pose,
     PoseInFrame,
-    Quaternion,
     TextAnnotation,
     Timestamp,
-    Vector3,
 )
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import MOST_CAMERAS, EgoPose, Frame, Input, ScanReport
-from swarmtrack.outputs.destinations import SeenTrack, as_seen
-from swarmtrack.outputs.foxglove_scene import camera_frame, colour_of_name
+from swarmtrack.outputs.drawing import DrawnTrack, as_seen, drawn
+from swarmtrack.outputs.foxglove_scene import camera_frame, pose_of, shade
 from swarmtrack.recording import schemas
 from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.writer import Topic
-from swarmtrack.relative.read_out import read_out
 
 IMAGES = [Topic.well_known(image_topic(k), CompressedImage) for k in range(MOST_CAMERAS)]
 FRAME = Topic.of_json(FRAMES_TOPIC, schemas.FRAME)
@@ -44,7 +37,7 @@ POSE = Topic.well_known("/pose", PoseInFrame)
 EVENTS = Topic.well_known("/log", Log)
 
 JPEG_QUALITY = 90
-UNKNOWN_BOX = 24.0  # px
+BLACK = (0, 0, 0)
 
 Written = tuple[Topic, bytes]
 
@@ -52,28 +45,27 @@ Written = tuple[Topic, bytes]
 class FoxgloveViews:
     """Makes them of what is recorded."""
 
-    def __init__(self, drone_id: int, lenses: Sequence[PinholeCamera]) -> None:
-        """lenses: of all cameras of the drone."""
+    def __init__(self, drone_id: int, lenses: Sequence[PinholeCamera], *, alone: bool) -> None:
+        """lenses: of all cameras of the drone. alone: there is no team."""
         self._drone_id = drone_id
         self._lenses = lenses
+        self._alone = alone
         self._told: tuple[str, ...] = ()
 
     def of_input(self, event: Input, log_time_ns: int) -> Iterator[Written]:
         """Where the drone is, by its own autopilot."""
         if not isinstance(event, EgoPose) or event.position is None:
             return
-        x, y, z = event.position.tolist()
-        qw, qx, qy, qz = to_quaternion(event.world_from_body).tolist()
-        pose = Pose(position=Vector3(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+        pose = pose_of(event.position, event.world_from_body)
         yield POSE, PoseInFrame(timestamp=stamp(log_time_ns), frame_id="local_ned", pose=pose).encode()
 
     def of_report(self, report: ScanReport, exposed_ns: int) -> Written:
         """Boxes and names in the image of the camera that was looked through."""
-        every = as_seen(report, *self._lenses)
-        seen = [track for track in every if track.entry.track.camera == report.camera]
-        when = stamp(exposed_ns)
+        tracks = drawn(as_seen(report, *self._lenses), report.camera, alone=self._alone)
+        when, width = stamp(exposed_ns), self._lenses[report.camera].width
         annotations = ImageAnnotations(
-            points=[_box(track, when) for track in seen], texts=[_label(track, when) for track in seen]
+            points=[mark for track in tracks for mark in _marks(track, when)],
+            texts=[_label(track, width, when) for track in tracks if not track.is_dot],
         )
         return BOXES[report.camera], annotations.encode()
 
@@ -114,35 +106,28 @@ def stamp(ns: int) -> Timestamp:
     return Timestamp(sec=ns // 1_000_000_000, nsec=ns % 1_000_000_000)
 
 
-def _box(track: SeenTrack, when: Timestamp) -> PointsAnnotation:
-    u, v = track.centre.tolist()
-    w, h = (UNKNOWN_BOX if math.isnan(side) else side for side in track.size.tolist())
-    corners = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-    return PointsAnnotation(
-        timestamp=when,
-        type=PointsAnnotationType.LineLoop,
-        points=[Point2(x=u + 0.5 * sx * w, y=v + 0.5 * sy * h) for sx, sy in corners],
-        outline_color=colour_of_name(track.entry.identity, 1.0),
-        thickness=2.0,
-    )
+def _marks(track: DrawnTrack, when: Timestamp) -> Iterator[PointsAnnotation]:
+    """A box and an arrow, or a dot."""
+    shapes = [(PointsAnnotationType.LineLoop, track.corners), (PointsAnnotationType.LineList, track.arrow)]
+    if track.is_dot:
+        shapes = [(PointsAnnotationType.Points, track.arrow[:1])]
+    for kind, points in shapes:
+        yield PointsAnnotation(
+            timestamp=when,
+            type=kind,
+            points=[Point2(x=u, y=v) for u, v in points.tolist()],
+            outline_color=shade(track.colour),
+            thickness=1.0 if track.is_lost else 2.0,
+        )
 
 
-def _away(track: SeenTrack) -> str:
-    state = track.entry.relative
-    if state is None:
-        return ""
-    return f" {read_out(state.position, state.velocity, state.cov).distance:.1f} m"
-
-
-def _label(track: SeenTrack, when: Timestamp) -> TextAnnotation:
-    identity = track.entry.identity
-    name = "?" if identity is None else str(identity)
-    u, v = track.centre.tolist()
+def _label(track: DrawnTrack, width: int, when: Timestamp) -> TextAnnotation:
+    u, v = track.label_at(width)
     return TextAnnotation(
         timestamp=when,
         position=Point2(x=u, y=v),
-        text=f"{name}{_away(track)}  (track {track.entry.track.id}, {track.entry.track.status})",
+        text=track.label,
         font_size=12.0,
-        text_color=colour_of_name(identity, 1.0),
-        background_color=Color(r=0.0, g=0.0, b=0.0, a=0.5),
+        text_color=shade(track.colour),
+        background_color=shade(BLACK, 0.5),
     )

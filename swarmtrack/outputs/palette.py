@@ -5,7 +5,12 @@ Okabe & Ito's colours (2008), told apart by all eyes, and a light grey.
 
 from __future__ import annotations
 
-COLOURS = (
+from swarmtrack.messages import FOREIGN, Identity
+
+Rgb = tuple[int, int, int]
+"""Red, green, blue, 0…255."""
+
+COLOURS: tuple[Rgb, ...] = (
     (230, 159, 0),
     (86, 180, 233),
     (0, 158, 115),
@@ -15,8 +20,11 @@ COLOURS = (
     (204, 121, 167),
     (213, 219, 224),
 )
+STRANGER: Rgb = (255, 60, 60)
+UNKNOWN: Rgb = (200, 200, 200)
 
 
-def colour_of(drone_id: int) -> tuple[int, int, int]:
-    """Red, green, blue, 0…255."""
-    return COLOURS[(drone_id - 1) % len(COLOURS)]
+def colour_of(identity: Identity) -> Rgb:
+    if identity is None:
+        return UNKNOWN
+    return STRANGER if identity == FOREIGN else COLOURS[(identity - 1) % len(COLOURS)]

@@ -40,7 +40,7 @@ from swarmtrack.messages import (
     TrackStatus,
 )
 from swarmtrack.outputs import periods
-from swarmtrack.outputs.destinations import SeenTrack, as_seen
+from swarmtrack.outputs.drawing import SeenTrack, as_seen
 from swarmtrack.outputs.status_lines import Debounced, StatusLines
 from swarmtrack.outputs.teammates_on_earth import TeammatesOnEarth
 from swarmtrack.perceived import Perceived

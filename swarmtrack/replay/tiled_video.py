@@ -12,8 +12,8 @@ import numpy as np
 
 from swarmtrack.errors import RecordingError
 from swarmtrack.messages import Frame, Image, ScanReport
-from swarmtrack.outputs.annotated_video import TimedVideo, Trails, annotate, write_text
-from swarmtrack.outputs.destinations import as_seen
+from swarmtrack.outputs.annotated_video import TimedVideo, annotate, write_text
+from swarmtrack.outputs.drawing import Trails, as_seen, drawn
 from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.replay.recorded_frames import RecordedFrames
@@ -41,7 +41,7 @@ def write_video(
     reports = {(report.camera, report.sequence): report for report in scans}
     times = [report.tracks.t for report in scans if report.camera == shown[0]]
     tiles = Tiles([(lenses[k].width, lenses[k].height) for k in shown])
-    trails = {k: Trails(alone=settings.config.network.transport == "memory") for k in shown}
+    trails = {k: Trails() for k in shown}
     frames = RecordedFrames(len(lenses))
     video, begin, count = TimedVideo(path, _fps(times)), math.nan, 0
     try:
@@ -61,8 +61,8 @@ def write_video(
 
 def _drawn(frame: Frame, report: ScanReport, begin: float, settings: FlightSettings, trails: Trails) -> Image:
     lenses = [one.camera for one in settings.cameras]
-    own = [track for track in as_seen(report, *lenses) if track.entry.track.camera == frame.camera]
-    image = annotate(frame, frame.t - begin, own, trails)
+    tracks = drawn(as_seen(report, *lenses), frame.camera, alone=settings.config.is_alone)
+    image = annotate(frame, frame.t - begin, tracks, trails)
     if len(lenses) > 1:
         write_text(image, f"camera {frame.camera + 1}", (8, image.shape[0] - 10), WHITE)
     return image

@@ -32,7 +32,8 @@ from swarmtrack.messages import (
     ScanReport,
 )
 from swarmtrack.outputs.console import Console
-from swarmtrack.outputs.destinations import JsonLines, as_seen, video_paths
+from swarmtrack.outputs.destinations import JsonLines, video_paths
+from swarmtrack.outputs.drawing import as_seen, drawn
 from swarmtrack.outputs.live_video import LiveVideo
 from swarmtrack.outputs.pilot_notices import PilotNotices
 from swarmtrack.outputs.wording import describe
@@ -348,8 +349,8 @@ class Agent:
             self._jsonl.write(report, seen)
             self.health.drops["jsonl_lines"] = self._jsonl.failed
         if self._videos:
-            own = [track for track in seen if track.entry.track.camera == report.camera]
-            self._videos[report.camera].write(report, own)
+            tracks = drawn(seen, report.camera, alone=self._config.is_alone)
+            self._videos[report.camera].write(report, tracks)
             self.health.drops["video_frames"] = sum(video.dropped for video in self._videos)
         self._tracks.on_scan()
 
@@ -493,6 +494,5 @@ def _open_videos(parts: Parts) -> list[AnnotatedVideo]:
     # Here, not above: OpenCV is nothing that an agent without pictures should pay for.
     from swarmtrack.outputs.annotated_video import AnnotatedVideo  # noqa: PLC0415
 
-    lossless, alone = parts.paced is not None, parts.config.network.transport == "memory"
     paths = video_paths(path, len(parts.cameras))
-    return [AnnotatedVideo(one, lossless=lossless, alone=alone) for one in paths]
+    return [AnnotatedVideo(one, lossless=parts.paced is not None) for one in paths]

@@ -51,7 +51,7 @@ class FlightRecorder:
         self._n = 0
         self._next_frame = [-math.inf] * len(settings.cameras)
         drone_id, lenses = settings.config.drone.id, [one.camera for one in settings.cameras]
-        self._views = FoxgloveViews(drone_id, lenses)
+        self._views = FoxgloveViews(drone_id, lenses, alone=settings.config.is_alone)
         self._scene = FoxgloveScene(drone_id, lenses, [one.body_from_camera for one in settings.cameras])
 
     def open(self) -> None:

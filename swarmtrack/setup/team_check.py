@@ -60,7 +60,7 @@ def contradictions(configs: Sequence[DroneConfig]) -> list[str]:
                 ("network", "transport"), '"memory" stays within one process, expected "zenoh" for a team'
             )
             for config in configs
-            if config.network.transport == "memory" and config.team.announce
+            if config.is_alone and config.team.announce
         ]
     return list(dict.fromkeys(problems))
 

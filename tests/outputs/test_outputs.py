@@ -24,9 +24,10 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
-from swarmtrack.outputs.annotated_video import MOST_REPEATED, AnnotatedVideo, Trails, annotate, label_of
+from swarmtrack.outputs.annotated_video import MOST_REPEATED, AnnotatedVideo, annotate
 from swarmtrack.outputs.console import Console
-from swarmtrack.outputs.destinations import VIDEO_SUFFIXES, JsonLines, as_seen, video_paths
+from swarmtrack.outputs.destinations import VIDEO_SUFFIXES, JsonLines, video_paths
+from swarmtrack.outputs.drawing import Trails, as_seen, drawn
 from swarmtrack.outputs.palette import colour_of
 from swarmtrack.runtime.meters import LatencyMeter, RateMeter
 
@@ -193,7 +194,7 @@ def test_a_track_far_outside_or_without_a_size_is_drawn_without_complaint():
         track(-500.0, 90.0, "foreign"),
         track(300.0, 90.0, 3),
     ]
-    image = annotate(frame(0, 0.0), 0.0, as_seen(report(0.0, *everything), LENS))
+    image = annotate(frame(0, 0.0), 0.0, drawn(as_seen(report(0.0, *everything), LENS)))
     assert image.shape == (480, 640, 3)
     assert image.any()
 
@@ -201,7 +202,7 @@ def test_a_track_far_outside_or_without_a_size_is_drawn_without_complaint():
 def test_a_name_is_readable_wherever_the_drone_is():
     for u, v in [(300.0, 12.0), (630.0, 200.0), (5.0, 300.0)]:
         scan = report(0.0, track(u, v, identity=2))
-        named = annotate(frame(0, 0.0), 0.0, as_seen(scan, PINHOLE))
+        named = annotate(frame(0, 0.0), 0.0, drawn(as_seen(scan, PINHOLE)))
         unnamed = annotate(frame(0, 0.0), 0.0, [])
         # The box takes 30 x 20 px and the arrow 10 more: what is coloured beyond them is the name.
         coloured = (named != unnamed).any(axis=2)
@@ -219,18 +220,18 @@ def placed(seen, distance: float):
 def test_the_name_in_the_video_says_how_far_its_drone_is():
     near, far = placed(track(320.0, 240.0, identity=2), 8.4), placed(track(320.0, 240.0, identity=2), 123.0)
     lost = placed(track(320.0, 240.0, identity=2, status=TrackStatus.LOST), 8.4)
-    labels = [label_of(seen) for seen in as_seen(report(0.0, near, far, lost), LENS)]
+    labels = [one.label for one in drawn(as_seen(report(0.0, near, far, lost), LENS))]
     assert labels == ["drone 2 8.4 m", "drone 2 123.0 m", "drone 2 8.4 m (lost)"]
-    drawn = [annotate(frame(0, 0.0), 0.0, as_seen(report(0.0, one), LENS)) for one in (near, far)]
-    assert (drawn[0] != drawn[1]).any()
+    images = [annotate(frame(0, 0.0), 0.0, drawn(as_seen(report(0.0, one), LENS))) for one in (near, far)]
+    assert (images[0] != images[1]).any()
 
 
 def test_who_has_no_place_has_its_name_alone():
     entries = [track(320.0, 240.0, identity=2), track(320.0, 240.0), track(320.0, 240.0, identity="foreign")]
-    assert [label_of(seen) for seen in as_seen(report(0.0, *entries), LENS)] == [
+    assert [one.label for one in drawn(as_seen(report(0.0, *entries), LENS))] == [
         "drone 2",
         "track 7",
-        "foreign, track 7",
+        "stranger, track 7",
     ]
 
 
@@ -256,14 +257,14 @@ def test_frames_stand_at_their_own_times_and_one_lasts_until_the_next(tmp_path):
 
 
 def test_without_a_team_each_track_has_a_colour_and_a_way_of_its_own():
-    def drawn(*, alone):
-        trails, image = Trails(alone=alone), None
+    def picture(*, alone):
+        trails, image = Trails(), None
         for k in range(5):
             seen = as_seen(report(0.2 * k, track(300.0 + 30.0 * k, 200.0)), PINHOLE)
-            image = annotate(frame(k, 0.2 * k), 0.2 * k, seen, trails)
+            image = annotate(frame(k, 0.2 * k), 0.2 * k, drawn(seen, alone=alone), trails)
         return image
 
-    with_team, alone = drawn(alone=False), drawn(alone=True)
+    with_team, alone = picture(alone=False), picture(alone=True)
     assert (alone[200, 310:390].max(axis=1) > 0).sum() > 60  # where it came from
     assert len({tuple(pixel) for pixel in alone[200, 320:380] if pixel.any()}) > 0
     assert tuple(alone[190, 420]) == tuple(reversed(colour_of(7)))  # the edge of its box

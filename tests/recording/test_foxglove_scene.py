@@ -66,13 +66,13 @@ def test_labels_say_who_and_how_far(topics):
     for entity in topics["/scene"][-1].entities:
         (text,) = entity.texts
         distance = np.linalg.norm(xyz(entity.spheres[0].pose.position))
-        assert text.text.startswith(f"{entity.id}  {distance:.1f} m ± ")
+        assert text.text.startswith(f"drone {entity.id} {distance:.1f} m ± ")
         assert text.billboard
 
 
 def test_boxes_in_the_picture_say_how_far_too(topics):
     names = [text.text for text in topics["/camera/annotations"][-1].texts]
-    assert all(re.fullmatch(r"[23] \d\.\d m  \(track \d+, confirmed\)", name) for name in names), names
+    assert all(re.fullmatch(r"drone [23] \d\.\d m", name) for name in names), names
 
 
 def test_the_camera_stands_in_the_map_as_it_is_mounted(topics):
