@@ -22,6 +22,7 @@ from swarmtrack.errors import ConfigError
 # Strict: "1" is not 1, and true is not 1.0. A whole number is welcome where a number is asked for.
 Number = Annotated[float, Strict(), Field(allow_inf_nan=False)]
 Positive = Annotated[Number, Field(gt=0.0)]
+NotNegative = Annotated[Number, Field(ge=0.0)]
 Probability = Annotated[Number, Field(gt=0.0, lt=1.0)]
 Count = Annotated[int, Strict(), Field(gt=0)]
 Switch = Annotated[bool, Strict()]

@@ -14,11 +14,9 @@ from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import (
-    AfterValidator,
     BeforeValidator,
     Field,
     Strict,
-    ValidationInfo,
     field_validator,
     model_validator,
 )
@@ -27,7 +25,7 @@ from swarmtrack.config.drone import Intrinsics, Lens, Mount
 from swarmtrack.config.team import TeamOrigin
 from swarmtrack.config.toml.layers import Key, Layers, Problem, read_layers
 from swarmtrack.config.toml.sections import (
-    Count,
+    NotNegative,
     Number,
     ParameterSection,
     Place,
@@ -52,14 +50,16 @@ from swarmtrack.lab.scenarios.scenario import (
     LOCKSTEP_SKEW,
     ORIGIN,
     AutopilotKind,
-    FaultKind,
+    DroneId,
+    Ghosts,
+    Lanes,
     Plan,
     Radio,
+    Ring,
     Scenario,
     ScenarioCamera,
     ScenarioEvent,
     ScenarioFault,
-    Station,
     Sway,
     Swing,
     Weave,
@@ -67,9 +67,6 @@ from swarmtrack.lab.scenarios.scenario import (
     drawn_skews,
     fly,
     form_up,
-    haunt,
-    lanes,
-    ring,
     run_errands,
 )
 from swarmtrack.lab.score.swarm_verdict import Limits
@@ -99,27 +96,8 @@ LEAST_STAR_HEIGHT_M = 2.0  # as an agent's config has it: nobody's slot is lower
 VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
 VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
 
-Share = Annotated[Number, Field(ge=0.0, le=1.0)]
 ShareRate = Annotated[Number, Field(ge=2.0, le=10.0)]
-NotNegative = Annotated[Number, Field(ge=0.0)]
-DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
 DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_DRONES)]
-
-
-def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
-    if ends[0] > ends[1]:
-        raise ValueError(f"{list(ends)}, expected [shortest, longest]")
-    return ends
-
-
-Range = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
-Heights = Annotated[tuple[Positive, ...], Field(min_length=1)]
-# The value of a fault: the largest one, and what it is; kinds that are not listed have none.
-FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
-    FaultKind.LOSS: (1.0, "the share of frames that are lost, 0 to 1"),
-    FaultKind.LATENCY: (60.0, "a delay of 0 to 60 s"),
-    FaultKind.CLUTTER: (1000.0, "0 to 1000 false detections per frame"),
-}
 
 
 class ScenarioCameraSection(Section):
@@ -211,74 +189,6 @@ class ClocksSection(Section):
     )
 
 
-class RadioSection(Section):
-    """[radio]: of every link, all the time."""
-
-    loss: Share = 0.0
-    latency_s: NotNegative = 0.0
-    jitter_s: NotNegative = 0.0
-    kbit_s: Annotated[Number, Field(ge=1.0, le=1e6)] | None = Field(
-        default=None, description="what each drone's radio sends at most, kbit/s"
-    )
-
-
-class RingSection(Section):
-    """Stations on a circle; see `simulation.scenarios.ring`."""
-
-    radius_m: Positive = Field(description="smallest radius, m")
-    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(
-        default=1.8, description="smallest distance along the circle, m"
-    )
-    heights_m: Heights = Field(default=(5.0,), description="heights above the ground, taken in turn, m")
-
-
-class LanesSection(Section):
-    """Two sides of lanes; see `simulation.scenarios.lanes`."""
-
-    gap_m: Positive = Field(description="distance between the two sides, m")
-    lane_step_m: Annotated[Number, Field(ge=1.2)] = Field(
-        default=1.6, description="distance from lane to lane, m"
-    )
-    lanes_a_side: Count = Field(default=2, description="lanes per side, one behind the other")
-    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(default=2.5, description="distance within a lane, m")
-    heights_m: Heights = Field(
-        default=(5.0,), description="heights of a side's lanes above the ground, taken in turn, m"
-    )
-
-
-class SwaySection(Section):
-    amplitude_m: Place = Field(description="[north, east, down], m")
-    period_s: Range = Field(description="[shortest, longest], s")
-
-
-class WeaveSection(Section):
-    reach_m: Positive
-    period_s: Range = Field(description="[shortest, longest], s")
-
-
-class SwingSection(Section):
-    peak_rad_s: Positive
-    period_s: Range = Field(description="[shortest, longest], s")
-
-
-class ErrandSection(Section):
-    """On the ground, into the air, on errands; see `simulation.errands.Errand`."""
-
-    spacing_m: Annotated[Number, Field(ge=4.0)] = Field(default=8.0, description="distance to the next, m")
-    ground_s: NotNegative = Field(default=7.0, description="how long they stand on the ground, s")
-    hover_s: NotNegative = Field(default=6.0, description="between the climb and the first go-to, s")
-    heights_m: Heights = Field(default=(5.8, 6.5), description="heights above the ground, taken in turn, m")
-    reach_m: Positive = Field(default=2.5, description="of the go-tos, m")
-
-    def errand(self) -> Errand:
-        return Errand(**self.model_dump())
-
-
-class StickSection(Section):
-    at_s: NotNegative = Field(description="world time, s; later than the previous one")
-    velocity_m_s: Place = Field(description="[north, east, down], m/s; linear from one to the next")
-
-
 class StarSection(Section):
     """Followers on an arc behind a leader, whose agents fly them by sight; see `lab.world.star`. The first drone
     leads."""
@@ -303,7 +213,7 @@ class StarSection(Section):
     leader_leaves_s: Positive | None = Field(
         default=None, description="from when on nobody sees the leader any more, world time, s"
     )
-    sticks: Annotated[tuple[StickSection, ...], Field(min_length=2)] = Field(
+    sticks: Annotated[tuple[Stick, ...], Field(min_length=2)] = Field(
         description="how the leader's pilot flies; at rest first and last"
     )
 
@@ -334,21 +244,10 @@ class StarSection(Section):
             takes_off_s=-math.inf if self.takes_off_s is None else self.takes_off_s,
             engages_s=self.engages_s,
             judged_from_s=self.judged_from_s,
-            sticks=tuple(Stick(stick.at_s, stick.velocity_m_s) for stick in self.sticks),
+            sticks=self.sticks,
             leader_leaves_s=math.inf if self.leader_leaves_s is None else self.leader_leaves_s,
             settings={"limits": {"fence_radius_m": FENCE_M}},
         )
-
-
-class GhostsSection(Section):
-    """[ghosts]: fixed points on which the detector fires again and again; see `simulation.scenarios.haunt`."""
-
-    count: Annotated[int, Strict(), Field(ge=0, le=1000)] = 4
-    p_detection: tuple[Share, Share] = Field(default=(0.3, 0.9), description="per frame, [least, most]")
-    score: tuple[Share, Share] = Field(default=(0.47, 0.64), description="[least, most]")
-    distance_m: Range = Field(default=(12.0, 40.0), description="[nearest, farthest], m")
-    height_m: Range = Field(default=(0.5, 6.0), description="above the ground, [lowest, highest], m")
-    size_m: Range = Field(default=(0.5, 1.5), description="of the boxes, [least, most], m")
 
 
 class FormationSection(Section):
@@ -358,13 +257,13 @@ class FormationSection(Section):
     autopilots: tuple[AutopilotKind, ...] = Field(
         default=(), description="whose manners their autopilots have, taken in turn; ArduPilot's unless told"
     )
-    ring: RingSection | None = None
-    lanes: LanesSection | None = None
-    errand: ErrandSection | None = None
+    ring: Ring | None = None
+    lanes: Lanes | None = None
+    errand: Errand | None = None
     star: StarSection | None = None
-    sway: SwaySection | None = None
-    weave: WeaveSection | None = None
-    swing: SwingSection | None = None
+    sway: Sway | None = None
+    weave: Weave | None = None
+    swing: Swing | None = None
 
     @model_validator(mode="after")
     def _one_shape_and_one_flight(self) -> FormationSection:
@@ -386,17 +285,6 @@ class FormationSection(Section):
                 "weave with ring, expected sway, or lanes, whose drones can swing sideways together"
             )
         return self
-
-    def stations(self, n: int) -> list[Station]:
-        if self.ring is not None:
-            return ring(n, **self.ring.model_dump())
-        assert self.lanes is not None
-        return lanes(n, **self.lanes.model_dump())
-
-    def flight(self) -> Sway | Weave | None:
-        if self.sway is not None:
-            return Sway(**self.sway.model_dump())
-        return Weave(**self.weave.model_dump()) if self.weave is not None else None
 
 
 class OscillationSection(Section):
@@ -501,56 +389,6 @@ class DroneSection(PlannedFlight):
         return dataclasses.replace(plan, guided=self.autopilot.response) if self.guided else plan
 
 
-class FaultSection(Section):
-    """[[fault]]"""
-
-    kind: FaultKind
-    at_s: NotNegative = Field(description="when it starts, world time, s")
-    seconds: NotNegative = Field(
-        default=0.0,
-        description="how long it lasts, s; for a kill: until the agent is restarted",
-        validate_default=True,
-    )
-    drones: tuple[DroneId, ...] = Field(
-        default=(),
-        description="the drones affected, all by default; for a partition: one side of it",
-        validate_default=True,
-    )
-    value: Number | None = Field(
-        default=None, description="strength of loss, latency or clutter", validate_default=True
-    )
-
-    @field_validator("seconds")
-    @classmethod
-    def _lasting(cls, seconds: float, info: ValidationInfo) -> float:
-        momentary = (FaultKind.KILL, FaultKind.AUTOPILOT_REBOOT)
-        if seconds == 0.0 and "kind" in info.data and info.data["kind"] not in momentary:
-            raise ValueError(f"{seconds:g}, expected how long the {info.data['kind']} lasts, more than 0 s")
-        return seconds
-
-    @field_validator("drones")
-    @classmethod
-    def _with_a_side(cls, drones: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
-        if not drones and info.data.get("kind") is FaultKind.PARTITION:
-            raise ValueError("none, expected the drones on one side of the partition")
-        return drones
-
-    @field_validator("value")
-    @classmethod
-    def _of_its_kind(cls, value: float | None, info: ValidationInfo) -> float | None:
-        kind = info.data.get("kind")
-        if kind in FAULT_VALUES:
-            most, meaning = FAULT_VALUES[kind]
-            if value is None or not 0.0 <= value <= most:
-                raise ValueError(f"{'missing' if value is None else format(value, 'g')}, expected {meaning}")
-        elif kind is not None and value is not None:
-            raise ValueError(f"{value:g}, expected none: {kind} has no strength")
-        return value
-
-    def fault(self) -> ScenarioFault:
-        return ScenarioFault(self.kind, self.at_s, self.seconds, self.drones, self.value or 0.0)
-
-
 class ScenarioFile(Section):
     """A whole file."""
 
@@ -570,11 +408,11 @@ class ScenarioFile(Section):
     agents: AgentsSection = AgentsSection()
     clocks: ClocksSection = ClocksSection()
     detector: ParameterSection = ParameterSection()
-    radio: RadioSection = RadioSection()
-    ghosts: GhostsSection = GhostsSection(count=0)
+    radio: Radio = Radio()
+    ghosts: Ghosts = Ghosts(count=0)
     formation: FormationSection | None = None
     drone: tuple[DroneSection, ...] = ()
-    fault: tuple[FaultSection, ...] = ()
+    fault: tuple[ScenarioFault, ...] = ()
     expected: ParameterSection = ParameterSection()
 
 
@@ -732,12 +570,12 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
     autopilots = _autopilots(file, members, ids)
     plans = {drone.id: drone.plan(file.hover_s + starts.get(drone.id, 0.0)) for drone in file.drone}
     shape = file.formation
-    if shape is not None and shape.errand is None and shape.star is None:
+    if shape is not None and (layout := shape.ring or shape.lanes) is not None:
         plans |= form_up(
             seed,
-            dict(zip(ids, shape.stations(len(ids)), strict=True)),
-            flight=shape.flight(),
-            swing=Swing(**shape.swing.model_dump()) if shape.swing else None,
+            dict(zip(ids, layout.stations(len(ids)), strict=True)),
+            flight=shape.sway or shape.weave,
+            swing=shape.swing,
             departs_s={drone_id: file.hover_s + starts.get(drone_id, 0.0) for drone_id in ids},
             view=VIEW,
         )
@@ -746,7 +584,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
     events: tuple[ScenarioEvent, ...] = ()
     if shape is not None and shape.errand is not None:
         responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
-        world, events = run_errands(world, ids, shape.errand.errand(), file.drift_m, responses)
+        world, events = run_errands(world, ids, shape.errand, file.drift_m, responses)
     star = shape.star.star(ids) if shape is not None and shape.star is not None else None
     if star is not None:
         world = fly_star(world, star, file.drift_m)
@@ -781,9 +619,9 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         autopilot_boot_s=in_turn(file.clocks.autopilot_boot_s),
         autopilots=autopilots,
         camera_offset_s=in_turn(file.clocks.camera_offset_s),
-        ghosts=haunt(world, **file.ghosts.model_dump()),
+        ghosts=file.ghosts.drawn(world),
         events=events,
-        radio=Radio(**file.radio.model_dump()),
-        faults=tuple(fault.fault() for fault in file.fault),
+        radio=file.radio,
+        faults=file.fault,
         formation=star,
     )

@@ -1,8 +1,10 @@
 """Who flies where, which camera everyone carries, and what goes wrong when: one simulated flight of a swarm.
 
-A scenario is a value. `lab.scenarios.files` reads one from TOML with the builders below. All drones hover until world
-time `HOVER_S`, and at every negative time: however slowly processes start, the announced poses fit what is seen. Then
-they move, without end. In errands and stars they stand on the ground first.
+A scenario is a value. `lab.scenarios.files` reads one from TOML with the builders below. Where a table of a file is a
+part of a scenario as it stands (a fault, the radio, a ring), that part's class is here, with its limits.
+
+All drones hover until world time `HOVER_S`, and at every negative time: however slowly processes start, the announced
+poses fit what is seen. Then they move, without end. In errands and stars they stand on the ground first.
 """
 
 from __future__ import annotations
@@ -11,17 +13,26 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import (
+    AfterValidator,
+    Field,
+    Strict,
+    ValidationInfo,
+    ValidatorFunctionWrapHandler,
+    field_validator,
+)
 
+from swarmtrack.config.toml.sections import Count, NotNegative, Number, Place, Positive, Section
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
-from swarmtrack.lab.world.errands import Errand, fly_errands
+from swarmtrack.lab.world.errands import Errand, Heights, fly_errands
 from swarmtrack.lab.world.followed import FollowedDrone
 from swarmtrack.lab.world.guided import GuidedDrone
 from swarmtrack.lab.world.response import ARDUPILOT, PX4, Response
@@ -80,35 +91,89 @@ class FaultKind(StrEnum):
 
 
 RADIO_FAULTS = frozenset({FaultKind.PARTITION, FaultKind.LOSS, FaultKind.LATENCY})
+# The value of a fault: the largest one, and what it is; kinds that are not listed have none.
+FAULT_VALUES: dict[FaultKind, tuple[float, str]] = {
+    FaultKind.LOSS: (1.0, "the share of frames that are lost, 0 to 1"),
+    FaultKind.LATENCY: (60.0, "a delay of 0 to 60 s"),
+    FaultKind.CLUTTER: (1000.0, "0 to 1000 false detections per frame"),
+}
 
 
-@dataclass(frozen=True, slots=True)
-class ScenarioFault:
-    """What goes wrong from world time `at_s` on for `seconds`, with `drones` (none named: with all).
+def _ascending(ends: tuple[float, float]) -> tuple[float, float]:
+    if ends[0] > ends[1]:
+        raise ValueError(f"{list(ends)}, expected [shortest, longest]")
+    return ends
 
-    value: of a loss the share 0…1 of frames lost, of a latency s, of clutter the false detections expected per frame.
-    """
+
+Share = Annotated[Number, Field(ge=0.0, le=1.0)]
+Range = Annotated[tuple[Positive, Positive], AfterValidator(_ascending)]
+DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
+
+
+class ScenarioFault(Section):
+    """[[fault]]: what goes wrong from world time `at_s` on for `seconds`, with `drones`."""
 
     kind: FaultKind
-    at_s: float
-    seconds: float
-    drones: tuple[int, ...] = ()
-    value: float = 0.0
+    at_s: NotNegative = Field(description="when it starts, world time, s")
+    seconds: NotNegative = Field(
+        default=0.0,
+        description="how long it lasts, s; for a kill: until the agent is restarted",
+        validate_default=True,
+    )
+    drones: tuple[DroneId, ...] = Field(
+        default=(),
+        description="the drones affected, all by default; for a partition: one side of it",
+        validate_default=True,
+    )
+    value: Number = Field(
+        default=None, description="strength of loss, latency or clutter", validate_default=True
+    )
+
+    @field_validator("seconds")
+    @classmethod
+    def _lasting(cls, seconds: float, info: ValidationInfo) -> float:
+        momentary = (FaultKind.KILL, FaultKind.AUTOPILOT_REBOOT)
+        if seconds == 0.0 and "kind" in info.data and info.data["kind"] not in momentary:
+            raise ValueError(f"{seconds:g}, expected how long the {info.data['kind']} lasts, more than 0 s")
+        return seconds
+
+    @field_validator("drones")
+    @classmethod
+    def _with_a_side(cls, drones: tuple[int, ...], info: ValidationInfo) -> tuple[int, ...]:
+        if not drones and info.data.get("kind") is FaultKind.PARTITION:
+            raise ValueError("none, expected the drones on one side of the partition")
+        return drones
+
+    @field_validator("value", mode="wrap")
+    @classmethod
+    def _of_its_kind(cls, given: object, number: ValidatorFunctionWrapHandler, info: ValidationInfo) -> float:
+        """0 where the kind has no strength."""
+        kind, value = info.data.get("kind"), None if given is None else float(number(given))
+        if kind in FAULT_VALUES:
+            most, meaning = FAULT_VALUES[kind]
+            if value is None or not 0.0 <= value <= most:
+                raise ValueError(f"{'missing' if value is None else format(value, 'g')}, expected {meaning}")
+        elif kind is not None and value is not None:
+            raise ValueError(f"{value:g}, expected none: {kind} has no strength")
+        return value or 0.0
 
     def concerns(self, drone_id: int, t: float) -> bool:
         """Whether it holds for this drone at world time t."""
         return (not self.drones or drone_id in self.drones) and self.at_s <= t < self.at_s + self.seconds
 
 
-@dataclass(frozen=True, slots=True)
-class Radio:
-    """Every link of the team's radio, all the time. loss 0…1; latency and its jitter (±) in s; kbit_s: what each radio
-    sends at most, None: as much as you like."""
+class Radio(Section):
+    """[radio]: every link of the team's radio, all the time. jitter_s: ± of the latency."""
 
-    loss: float = 0.0
-    latency_s: float = 0.0
-    jitter_s: float = 0.0
-    kbit_s: float | None = None
+    loss: Share = 0.0
+    latency_s: NotNegative = 0.0
+    jitter_s: NotNegative = 0.0
+    kbit_s: Annotated[Number, Field(ge=1.0, le=1e6)] | None = Field(
+        default=None, description="what each drone's radio sends at most, kbit/s"
+    )
+
+
+PERFECT_RADIO = Radio()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +186,37 @@ class Ghost:
     size_m: float
     p_detection: float
     score: tuple[float, float]
+
+
+class Ghosts(Section):
+    """[ghosts]: fixed points on which the detector fires again and again."""
+
+    count: Annotated[int, Strict(), Field(ge=0, le=1000)] = 4
+    p_detection: tuple[Share, Share] = Field(default=(0.3, 0.9), description="per frame, [least, most]")
+    score: tuple[Share, Share] = Field(default=(0.47, 0.64), description="[least, most]")
+    distance_m: Range = Field(default=(12.0, 40.0), description="[nearest, farthest], m")
+    height_m: Range = Field(default=(0.5, 6.0), description="above the ground, [lowest, highest], m")
+    size_m: Range = Field(default=(0.5, 1.5), description="of the boxes, [least, most], m")
+
+    def drawn(self, world: World) -> tuple[Ghost, ...]:
+        """Ghosts in the directions in which drones look for each other: each behind one as another one sees it, give or
+        take `BESIDE`, with a probability of its own. All of them have scores from the range."""
+        ghosts = []
+        drones = list(world.drones)
+        for k in range(self.count if len(drones) > 1 else 0):
+            chance = world.chance("ghost", k)
+            observer, other = (
+                world.flown(d).position(0.0) for d in chance.choice(drones, 2, replace=False).tolist()
+            )
+            north, east, _ = other - observer
+            bearing = math.atan2(east, north) + chance.normal(0.0, BESIDE)
+            distance = chance.uniform(*self.distance_m)
+            place = observer + distance * np.array([math.cos(bearing), math.sin(bearing), 0.0])
+            place[2] = -chance.uniform(*self.height_m)
+            ghosts.append(
+                Ghost(place, chance.uniform(*self.size_m), chance.uniform(*self.p_detection), self.score)
+            )
+        return tuple(ghosts)
 
 
 class ScenarioEvent(NamedTuple):
@@ -199,7 +295,7 @@ class Scenario:
     camera_offset_s: Mapping[int, float] = field(default_factory=dict)
     ghosts: tuple[Ghost, ...] = ()
     events: tuple[ScenarioEvent, ...] = ()
-    radio: Radio = Radio()
+    radio: Radio = PERFECT_RADIO
     faults: tuple[ScenarioFault, ...] = ()
     formation: TeamSlots | None = None
 
@@ -257,7 +353,7 @@ class Scenario:
     @property
     def needs_radio(self) -> bool:
         """Whether its links lose, delay or part: it then needs a network of its own."""
-        return self.radio != Radio() or any(fault.kind in RADIO_FAULTS for fault in self.faults)
+        return self.radio != PERFECT_RADIO or any(fault.kind in RADIO_FAULTS for fault in self.faults)
 
 
 def as_told(scenario: Scenario) -> tuple[Scenario, dict[int, FollowedDrone]]:
@@ -336,37 +432,6 @@ def drawn_skews(world: World, ids: Sequence[int]) -> dict[int, float]:
     return skews
 
 
-def haunt(
-    world: World,
-    count: int,
-    *,
-    p_detection: tuple[float, float],
-    score: tuple[float, float],
-    distance_m: tuple[float, float],
-    height_m: tuple[float, float],
-    size_m: tuple[float, float],
-) -> tuple[Ghost, ...]:
-    """Ghosts in the directions in which drones look for each other: each behind one as another one sees it.
-
-    Give or take `BESIDE`. distance_m from the observer, height_m above the ground and size_m are drawn from ranges, and
-    so is each ghost's own probability; all of them have scores from the range.
-    """
-    ghosts = []
-    drones = list(world.drones)
-    for k in range(count if len(drones) > 1 else 0):
-        chance = world.chance("ghost", k)
-        observer, other = (
-            world.flown(d).position(0.0) for d in chance.choice(drones, 2, replace=False).tolist()
-        )
-        north, east, _ = other - observer
-        bearing = math.atan2(east, north) + chance.normal(0.0, BESIDE)
-        distance = chance.uniform(*distance_m)
-        place = observer + distance * np.array([math.cos(bearing), math.sin(bearing), 0.0])
-        place[2] = -chance.uniform(*height_m)
-        ghosts.append(Ghost(place, chance.uniform(*size_m), chance.uniform(*p_detection), score))
-    return tuple(ghosts)
-
-
 def announced_starts(
     world: World, position_sigma_m: float, swapped: tuple[int, ...] = ()
 ) -> dict[int, AnnouncedStart]:
@@ -396,47 +461,58 @@ class Station(NamedTuple):
     phase: float = 0.0
 
 
-def ring(n: int, *, radius_m: float, spacing_m: float, heights_m: Sequence[float]) -> list[Station]:
-    """n stations about the origin, `spacing_m` along the circle or more, at the heights in turn.
+class Ring(Section):
+    """Stations on a circle about the origin, looking at its middle."""
 
-    Four make a rhombus of two equilateral triangles. In a square, a camera of 73° would show each drone only
-    its opposite and one neighbour, so 8 of the 12 pairs; here it is 10.
+    radius_m: Positive = Field(description="smallest radius, m")
+    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(
+        default=1.8, description="smallest distance along the circle, m"
+    )
+    heights_m: Heights = Field(default=(5.0,), description="heights above the ground, taken in turn, m")
+
+    def stations(self, n: int) -> list[Station]:
+        """Four make a rhombus of two equilateral triangles. In a square, a camera of 73° would show each drone only
+        its opposite and one neighbour, so 8 of the 12 pairs; here it is 10."""
+        radius = max(self.radius_m, n * self.spacing_m / (2.0 * math.pi))
+        along, across = (1.3 * radius, 0.75 * radius) if n == 4 else (radius, radius)
+        angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
+        heights = self.heights_m
+        return [
+            Station(np.array([along * math.cos(a), across * math.sin(a), -heights[k % len(heights)]]))
+            for k, a in enumerate(angle)
+        ]
+
+
+class Lanes(Section):
+    """Two sides, south and north of the origin, of lanes one behind the other.
+
+    The drones of a lane stand side by side; the next lane stands in its gaps, at the next height. The first n // 2
+    drones are the southern side, from front to rear and again; the rest are the northern one.
     """
-    radius = max(radius_m, n * spacing_m / (2.0 * math.pi))
-    along, across = (1.3 * radius, 0.75 * radius) if n == 4 else (radius, radius)
-    angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
-    return [
-        Station(np.array([along * math.cos(a), across * math.sin(a), -heights_m[k % len(heights_m)]]))
-        for k, a in enumerate(angle)
-    ]
 
+    gap_m: Positive = Field(description="distance between the two sides, m")
+    lane_step_m: Annotated[Number, Field(ge=1.2)] = Field(
+        default=1.6, description="distance from lane to lane, m"
+    )
+    lanes_a_side: Count = Field(default=2, description="lanes per side, one behind the other")
+    spacing_m: Annotated[Number, Field(ge=1.5)] = Field(default=2.5, description="distance within a lane, m")
+    heights_m: Heights = Field(
+        default=(5.0,), description="heights of a side's lanes above the ground, taken in turn, m"
+    )
 
-def lanes(
-    n: int,
-    *,
-    gap_m: float,
-    lane_step_m: float,
-    lanes_a_side: int,
-    spacing_m: float,
-    heights_m: Sequence[float],
-) -> list[Station]:
-    """Two sides, south and north of the origin and `gap_m` apart, of lanes one behind the other.
-
-    The drones of a lane stand side by side, `spacing_m` apart; the next lane stands in its gaps, at the next height.
-    The first n // 2 drones are the southern side, from front to rear and again; the rest are the northern one.
-    """
-    sizes = (n // 2, n - n // 2)
-    stations = []
-    for side, size, direction in zip((0, 1), sizes, (-1.0, 1.0), strict=True):
-        for k in range(size):
-            lane, rank = k % lanes_a_side, k // lanes_a_side
-            in_lane = math.ceil((size - lane) / lanes_a_side)
-            used = min(size, lanes_a_side)
-            east = spacing_m * (rank - (in_lane - 1) / 2.0 + (lane - (used - 1) / 2.0) / lanes_a_side)
-            north = direction * (gap_m / 2.0 + lane * lane_step_m)
-            position = np.array([north, east, -heights_m[lane % len(heights_m)]])
-            stations.append(Station(position, side, 2.0 * math.pi * lane / lanes_a_side))
-    return stations
+    def stations(self, n: int) -> list[Station]:
+        stations = []
+        for side, size, direction in ((0, n // 2, -1.0), (1, n - n // 2, 1.0)):
+            for k in range(size):
+                lane, rank = k % self.lanes_a_side, k // self.lanes_a_side
+                in_lane = math.ceil((size - lane) / self.lanes_a_side)
+                used = min(size, self.lanes_a_side)
+                shift = (lane - (used - 1) / 2.0) / self.lanes_a_side
+                east = self.spacing_m * (rank - (in_lane - 1) / 2.0 + shift)
+                north = direction * (self.gap_m / 2.0 + lane * self.lane_step_m)
+                position = np.array([north, east, -self.heights_m[lane % len(self.heights_m)]])
+                stations.append(Station(position, side, 2.0 * math.pi * lane / self.lanes_a_side))
+        return stations
 
 
 def best_view(eye: ArrayLike, others: Sequence[ArrayLike], width: float) -> Array:
@@ -464,12 +540,11 @@ def best_view(eye: ArrayLike, others: Sequence[ArrayLike], width: float) -> Arra
 # --- flights ---------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True)
-class Sway:
-    """Each drone by itself about its station: amplitudes [north, east, down] m, periods drawn from a range of s."""
+class Sway(Section):
+    """Each drone by itself about its station."""
 
-    amplitude_m: tuple[float, float, float]
-    period_s: tuple[float, float]
+    amplitude_m: Place = Field(description="[north, east, down], m")
+    period_s: Range = Field(description="[shortest, longest], s")
 
     def path(self, world: World, drone_id: int, station: Station) -> Path:
         chance = world.chance("sway", drone_id)
@@ -479,15 +554,14 @@ class Sway:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class Weave:
+class Weave(Section):
     """The drones of a lane swing east and west together, up to `reach_m`, and the lanes of a side against each other.
 
     Each side has its own period, drawn from a range of s. As its lanes share it, they meet where both are fast.
     """
 
-    reach_m: float
-    period_s: tuple[float, float]
+    reach_m: Positive
+    period_s: Range = Field(description="[shortest, longest], s")
 
     def path(self, world: World, drone_id: int, station: Station) -> Path:
         chance = world.chance("weave", station.side)
@@ -496,12 +570,11 @@ class Weave:
         return Lissajous(station.position, (0.0, self.reach_m, 0.0), (0.0, frequency, 0.0), (0.0, phase, 0.0))
 
 
-@dataclass(frozen=True, slots=True)
-class Swing:
+class Swing(Section):
     """Looking left and right, up to `peak_rad_s`; each drone in its own time, its period drawn from a range of s."""
 
-    peak_rad_s: float
-    period_s: tuple[float, float]
+    peak_rad_s: Positive
+    period_s: Range = Field(description="[shortest, longest], s")
 
     def view(self, world: World, drone_id: int, heading: float, departs_s: float) -> YawProfile:
         chance = world.chance("swing", drone_id)

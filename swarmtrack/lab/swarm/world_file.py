@@ -41,8 +41,16 @@ from swarmtrack.errors import SourceError, SwarmtrackError
 from swarmtrack.formation.plan import FormationPlan, PlanFault, plan_faults, view_faults
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.lab.scenarios.files import DroneId, PlannedFlight, ShareRate
-from swarmtrack.lab.scenarios.scenario import BODY_FROM_CAMERA, CAMERA, HOVER_S, Scenario, ScenarioCamera, fly
+from swarmtrack.lab.scenarios.files import PlannedFlight, ShareRate
+from swarmtrack.lab.scenarios.scenario import (
+    BODY_FROM_CAMERA,
+    CAMERA,
+    HOVER_S,
+    DroneId,
+    Scenario,
+    ScenarioCamera,
+    fly,
+)
 from swarmtrack.lab.score.swarm_verdict import Limits
 from swarmtrack.lab.swarm.truth_link import TruthAddress
 from swarmtrack.lab.world.airframe import Airframe

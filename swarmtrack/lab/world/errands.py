@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from pydantic import Field
 
+from swarmtrack.config.toml.sections import NotNegative, Number, Positive, Section
 from swarmtrack.lab.world.response import STEP_S, Flown, Response, SetPoint, Triple, advance, at_rest
 from swarmtrack.lab.world.trajectory import (
     Handover,
@@ -33,6 +34,8 @@ EVERY = 4  # steps of the response for each sample that is kept: 20 ms
 SWAYS_AFTER_S = 3.0  # from take-off: in the ground's wake the wind is no matter
 SETTLES_S = 8.0  # after the last order
 
+Heights = Annotated[tuple[Positive, ...], Field(min_length=1)]
+
 
 class Order(NamedTuple):
     """What a pilot tells a drone at `t` [s], in words and as a set point."""
@@ -42,17 +45,15 @@ class Order(NamedTuple):
     told: SetPoint
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Errand:
-    """Drones on a circle, spacing_m to the next, look at its middle. Each waits ground_s and its turn, and climbs to
-    one of the heights [m], in turn. After hover_s its go-tos begin; they lead reach_m away from its station at most.
-    """
+class Errand(Section):
+    """On the ground, into the air, on errands: drones on a circle look at its middle. Each waits ground_s and its turn,
+    and climbs. After hover_s its go-tos begin; they lead reach_m away from its station at most."""
 
-    spacing_m: float = 8.0
-    ground_s: float = 7.0
-    hover_s: float = 6.0
-    heights_m: tuple[float, ...] = (5.8, 6.5)
-    reach_m: float = 2.5
+    spacing_m: Annotated[Number, Field(ge=4.0)] = Field(default=8.0, description="distance to the next, m")
+    ground_s: NotNegative = Field(default=7.0, description="how long they stand on the ground, s")
+    hover_s: NotNegative = Field(default=6.0, description="between the climb and the first go-to, s")
+    heights_m: Heights = Field(default=(5.8, 6.5), description="heights above the ground, taken in turn, m")
+    reach_m: Positive = Field(default=2.5, description="of the go-tos, m")
 
 
 def fly_errands(

@@ -10,10 +10,12 @@ import math
 from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
+from pydantic import Field
 
+from swarmtrack.config.toml.sections import NotNegative, Section
+from swarmtrack.config.toml.sections import Place as Velocity
 from swarmtrack.formation.parameters import Place
 from swarmtrack.lab.world.errands import ON_THE_GROUND_M, SWAYS_AFTER_S
 from swarmtrack.lab.world.guided import GuidedDrone
@@ -50,11 +52,11 @@ def arc(ids: Sequence[int], gap_m: float, *, layer_m: float = 1.0) -> dict[int, 
     return slots
 
 
-class Stick(NamedTuple):
-    """Where the leader's sticks are at a world time [s], as the velocity that they ask for [m/s, NED]."""
+class Stick(Section):
+    """Where the leader's sticks are at a world time, as the velocity that they ask for."""
 
-    at_s: float
-    velocity: Triple
+    at_s: NotNegative = Field(description="world time, s; later than the previous one")
+    velocity_m_s: Velocity = Field(description="[north, east, down], m/s; linear from one to the next")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,7 +100,9 @@ class Star(TeamSlots):
             return STILL
         before, then = self.sticks[after - 1], self.sticks[after]
         share = (t - before.at_s) / (then.at_s - before.at_s)
-        north, east, down = (a + share * (b - a) for a, b in zip(before.velocity, then.velocity, strict=True))
+        north, east, down = (
+            a + share * (b - a) for a, b in zip(before.velocity_m_s, then.velocity_m_s, strict=True)
+        )
         return north, east, down
 
 

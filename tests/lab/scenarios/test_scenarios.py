@@ -220,7 +220,7 @@ def test_clock_skew_gives_every_machine_a_clock_of_its_own_kind_of_wrong():
 
 def test_the_lossy_radio_loses_delays_and_parts():
     scenario = load_scenario("lossy-radio")
-    assert scenario.radio == Radio(0.2, 0.02, 0.01)
+    assert scenario.radio == Radio(loss=0.2, latency_s=0.02, jitter_s=0.01)
     (partition,) = scenario.faults
     assert (partition.kind, partition.seconds, partition.drones) == (FaultKind.PARTITION, 10.0, (1,))
     assert [partition.concerns(1, t) for t in (11.9, 12.0, 21.9, 22.0)] == [False, True, True, False]
