@@ -165,7 +165,7 @@ def test_a_module_imports_at_its_head_only_what_flies():
         (["bench", "trackers", "--out", "OUT"], ["matplotlib"], "bench"),
         (["bench", "trackers", "--out", "OUT", "--peers"], ["stonesoup"], "peers"),
         (["bench", "calibration", "--out", "OUT"], ["matplotlib"], "bench"),
-        (["bench", "monitor", "--out", "OUT"], ["playwright"], "dev"),
+        (["bench", "cost", "--of", "monitor", "--out", "OUT"], ["playwright"], "dev"),
         (["replay", "OUT", "--plot", "OUT/a.png"], ["matplotlib"], "bench"),
         (["calibrate", "intrinsics", "images://OUT", "--plot", "OUT/a.png"], ["matplotlib"], "bench"),
     ],
