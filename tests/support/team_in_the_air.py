@@ -138,6 +138,7 @@ class Team:
     def __init__(self, emulator: RadioEmulator, scenario_file: Path, folder: Path, *, secured: bool) -> None:
         self.emulator = emulator
         self.looks: dict[int, list[Look]] = {}
+        self.agents: dict[int, Lines] = {}  # by drone, in their latest lives
         self._folder = folder
         self._scenario_file = scenario_file
         self._scenario = load_scenario(scenario_file, seed=SEED)
@@ -210,8 +211,9 @@ class Team:
             stderr=PIPE,
             env=ENVIRONMENT,
         )
-        self._processes.append(Lines(f"the agent of drone {drone}", process))
-        return self._processes[-1]
+        self.agents[drone] = Lines(f"the agent of drone {drone}", process)
+        self._processes.append(self.agents[drone])
+        return self.agents[drone]
 
     async def listen(self, key: str) -> Process:
         """Somebody on the ground listens over the radio, with the monitor's keys; what is heard comes as JSON lines."""
