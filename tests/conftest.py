@@ -97,6 +97,14 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     )
 
 
+def pytest_report_collectionfinish(config: pytest.Config, items: list[pytest.Item]) -> list[str]:
+    """With `--collect-only`, why each long test is long."""
+    if not config.option.collectonly:
+        return []
+    marked = [(item, mark) for item in items if (mark := item.get_closest_marker("long")) is not None]
+    return [f"{item.nodeid}: {mark.args[0]}" for item, mark in marked]
+
+
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     """Two more than there are cores: three queues mostly wait, and next to them computing begins at once.
 

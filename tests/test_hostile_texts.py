@@ -159,7 +159,9 @@ def test_honest_aliases_are_followed(tmp_path):
 # --- mutants ----------------------------------------------------------------------------------------------------------
 
 COUNTS = pytest.mark.parametrize(
-    "count", [200, pytest.param(MUTANTS, marks=pytest.mark.long)], ids=["short", "long"]
+    "count",
+    [200, pytest.param(MUTANTS, marks=pytest.mark.long("thousands of mutants, not 200"))],
+    ids=["short", "long"],
 )
 
 

@@ -71,7 +71,7 @@ def test_with_two_cameras_the_neighbours_keep_their_names_across_the_seam():
     assert flight.score.switches == 0
 
 
-@pytest.mark.long
+@pytest.mark.long("15 s of four cameras; the default run has 9 s of two")
 def test_all_around_nobody_is_unknown_because_of_a_seam():
     flight = all_round.fly("all-round", 15.0, "mbm", 1)
     assert flight.score.wrong == 0.0

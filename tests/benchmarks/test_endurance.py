@@ -139,7 +139,7 @@ def test_a_flight_with_a_gap_is_drawn(tmp_path):
     assert (tmp_path / "endurance.png").stat().st_size > 10_000
 
 
-@pytest.mark.long
+@pytest.mark.long("a real flight of eight seconds, watched from outside")
 def test_a_real_flight_is_measured_from_outside(tmp_path: Path, capsys) -> None:
     """Eight seconds; not how well it went, which is the machine's."""
     assert swarmtrack.main(["bench", "endurance", "--minutes", "0.13", "--out", str(tmp_path)]) == 0

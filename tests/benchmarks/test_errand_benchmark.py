@@ -153,7 +153,7 @@ def test_a_rendered_flight_is_flown_once_and_not_compared(monkeypatch) -> None:
     assert "turning" not in page
 
 
-@pytest.mark.long
+@pytest.mark.long("a whole errand of cameras that stamp wrong")
 def test_a_flight_whose_cameras_stamp_wrong_finds_by_how_much_and_names_nobody_wrong(monkeypatch) -> None:
     monkeypatch.setattr(benchmark, "FPS", (8.0, 8.0))
     programme = Programme(drones=(2,))

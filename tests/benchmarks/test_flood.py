@@ -7,6 +7,7 @@ The limits are far above what is measured, for a machine that is busy; `pytest -
 from __future__ import annotations
 
 from dataclasses import asdict
+from typing import Any
 
 import pytest
 
@@ -19,7 +20,16 @@ VALID = {Sort.ANNOUNCEMENTS, Sort.SIGHTINGS, Sort.TOKENS}  # what an agent has t
 AT_MOST_HZ = 300.0  # of one key four, twenty times a second; of tokens those of three boots, and what follows from each
 
 
-@pytest.mark.parametrize("sort", [sort for sort in Sort if sort is not Sort.NOTHING])
+def floods() -> list[Any]:
+    """Of every sort; in the default run one that is valid, one that is forged, and tokens."""
+    long = pytest.mark.long("four more floods; the default run has three")
+    short = {Sort.SIGHTINGS, Sort.FORGERIES, Sort.TOKENS}
+    return [
+        pytest.param(sort, marks=() if sort in short else long) for sort in Sort if sort is not Sort.NOTHING
+    ]
+
+
+@pytest.mark.parametrize("sort", floods())
 async def test_a_flood_by_a_member_stops_neither_the_loop_nor_the_others(sort: Sort) -> None:
     outcome = await measure(sort, SECONDS)
     assert f"| {sort} | " in BENCH.page({"floods": [asdict(outcome)]})

@@ -9,7 +9,7 @@ ROWS = {row.name: row for row in misconfigured.rows()}
 
 
 def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(monkeypatch):
-    monkeypatch.setitem(misconfigured.SECONDS, "crossing", 13.0)
+    monkeypatch.setitem(misconfigured.SECONDS, "crossing", 12.0)
     flight = misconfigured.fly(ROWS["nothing"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
     assert flight.score.wrong == 0.0
     assert flight.later.correct == 1.0
@@ -18,7 +18,7 @@ def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(mo
     assert report.table_of(misconfigured.BENCH.columns, [row]).endswith("| – | 0 of 0 | –, – | 0 |")
 
 
-@pytest.mark.long
+@pytest.mark.long("20 s, until those that look to the other side have found out")
 def test_a_team_that_looks_to_the_other_side_names_hardly_anybody_wrongly_and_never_surely():
     flight = misconfigured.fly(ROWS["compass, all 180°"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
     assert flight.score.wrong < 0.005

@@ -15,7 +15,14 @@ def fly(scenario, drones, seconds, seed):
 
 @pytest.mark.parametrize(
     ("scenario", "drones", "seconds"),
-    [("hover-triangle", 3, 6.0), ("crossing", 4, 6.0), ("fast-yaw", 4, 6.0), ("late-joiner", 3, 11.0)],
+    [
+        ("hover-triangle", 3, 6.0),
+        ("crossing", 4, 6.0),
+        *(
+            pytest.param(*flight, marks=pytest.mark.long("other scenarios than the two of the default run"))
+            for flight in [("fast-yaw", 4, 6.0), ("late-joiner", 3, 11.0)]
+        ),
+    ],
 )
 def test_everybody_is_known_and_nobody_taken_for_another(scenario, drones, seconds):
     score = fly(scenario, drones, seconds, 1).score
@@ -24,8 +31,11 @@ def test_everybody_is_known_and_nobody_taken_for_another(scenario, drones, secon
     assert score.agreement == 1.0
 
 
-def test_who_hides_behind_another_keeps_its_name():
-    score = fly("occlusion", 4, 12.0, 3).score
+@pytest.mark.parametrize(
+    "seconds", [8.0, pytest.param(12.0, marks=pytest.mark.long("twelve seconds, not eight"))]
+)
+def test_who_hides_behind_another_keeps_its_name(seconds):
+    score = fly("occlusion", 4, seconds, 3).score
     assert score.wrong <= 0.001
     assert score.correct > 0.95
 
@@ -48,7 +58,7 @@ def test_a_team_that_can_be_seen_apart_announces_itself_once():
 
 
 def test_the_same_seed_flies_the_same_flight():
-    one, other = (recognition.fly("crossing", 4, 2.0, "kalman", 5) for _ in range(2))
+    one, other = (recognition.fly("crossing", 3, 1.5, "kalman", 5) for _ in range(2))
     assert one == other
 
 

@@ -39,11 +39,11 @@ def test_a_track_on_a_hidden_drone_or_beside_the_picture_stands_on_nothing():
 
 
 def test_a_flight_is_the_same_twice_and_its_drones_are_followed():
-    short = scenery.Programme(seeds=1, seconds=2.0)
+    short = scenery.Programme(seeds=1, seconds=1.2)
     first, again = (scenery.fly(short, "hover-triangle", 1) for _ in range(2))
     assert first == again
     assert first.score.recall > 0.9
-    assert first.observed_s == pytest.approx(3 * 2.0, abs=2.0)
+    assert first.observed_s == pytest.approx(3 * 1.2, abs=2.0)
 
 
 class Nobody:

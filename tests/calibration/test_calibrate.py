@@ -194,7 +194,7 @@ async def test_the_command_measures_a_live_drone_and_writes_its_config(tmp_path,
                 "--config",
                 str(path),
                 "--seconds",
-                "18",
+                "13",
                 "--json",
                 "--write",
                 str(path),
@@ -321,7 +321,7 @@ def test_a_drawn_board_is_found_where_its_corners_are(kind):
     ("kind", "model"), [("charuco", "radtan"), ("aprilgrid", "radtan"), ("charuco", "equidistant")]
 )
 def test_a_camera_is_found_by_the_boards_it_was_shown(kind, model):
-    shown = bench.board_shown(5, kind, model, views=12)
+    shown = bench.board_shown(5, kind, model, views=9)
     truth = bench.LENSES[model]
     assert shown.focal_error < 0.005
     assert shown.ray_error_px < 0.5

@@ -75,7 +75,11 @@ def test_names_of_classes_command_no_terminal():
     assert len(described.names[1]) <= 64
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(MUTANTS, marks=pytest.mark.long)], ids=["short", "long"])
+@pytest.mark.parametrize(
+    "count",
+    [300, pytest.param(MUTANTS, marks=pytest.mark.long("thousands of mutants, not 300"))],
+    ids=["short", "long"],
+)
 @pytest.mark.parametrize(("good", "trial"), [(OURS, TRIAL), (THEIRS, YOLO)], ids=["ours", "theirs"])
 def test_any_mutation_of_good_metadata_is_read_or_refused(count, good, trial):
     assert describe("m.onnx", good, trial, Declared()).drones

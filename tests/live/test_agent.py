@@ -16,9 +16,11 @@ import cv2
 import numpy as np
 import pytest
 
+from support.called import called
 from support.clips import shorten
 from support.patience import PATIENCE
 from support.places import ROOT
+from swarmtrack.agents import vehicle
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import load_config
 from swarmtrack.lab.scenarios.files import load_scenario
@@ -342,12 +344,18 @@ def test_a_terminal_without_our_signs_is_no_reason_to_stop(tmp_path):
         ("drone.id = 1\ncamera.source = 'sim://hover-triangle'\ntracker.name = 'sort'\n", ["sort", "kalman"]),
     ],
 )
-def test_a_wrong_config_ends_with_a_sentence_and_code_2(tmp_path, text, expected):
-    result = run(write(tmp_path, text), "--seconds", "1")
+def test_a_wrong_config_is_answered_by_a_sentence_and_code_2(tmp_path, capsys, text, expected):
+    code, _, err = called(vehicle.main, ["--config", str(write(tmp_path, text)), "--seconds", "1"], capsys)
+    assert code == 2, err
+    for words in expected:
+        assert words.lower() in err.lower()
+
+
+def test_a_wrong_config_ends_the_process_with_the_sentence_alone(tmp_path):
+    result = run(write(tmp_path, "drone.id = 0\ncamera.source = 'sim://hover-triangle'\n"), "--seconds", "1")
     assert result.returncode == 2, result.stderr
     assert "Traceback" not in result.stderr
-    for words in expected:
-        assert words.lower() in result.stderr.lower()
+    assert "drone.toml:1: drone.id: 0, expected" in result.stderr
 
 
 def test_a_network_that_cannot_be_opened_now_is_no_wrong_config(tmp_path):

@@ -402,9 +402,7 @@ async def test_while_two_speak_as_one_nobody_is_given_their_name(gather: Gather,
     assert team.wrong(witnesses, since=ended, until=named) == 0
 
 
-@pytest.mark.long(
-    "another flight; in the default run a killed agent is missed, and sockets change their addresses"
-)
+@pytest.mark.long("another flight; in the default run a killed agent is missed over the address it had")
 async def test_after_a_change_of_its_address_a_drone_hears_what_becomes_of_the_others(gather: Gather) -> None:
     """A new lease, roaming: packets of the old address stay unanswered, and links are made again."""
     team = await gather(TRIANGLE)

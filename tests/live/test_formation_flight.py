@@ -41,7 +41,7 @@ sticks = [
 """
 
 
-@pytest.mark.long
+@pytest.mark.long("a leader is followed long enough to be judged")
 def test_a_follower_flies_after_its_leader_and_the_verdict_says_how_far_off_it_was(tmp_path):
     path, told = tmp_path / "pair.toml", tmp_path / "verdict.json"
     path.write_text(PAIR, encoding="utf-8")

@@ -17,7 +17,13 @@ ZERO_WITHIN_S, SILENT_AFTER_S = 1.2, 2.5
 
 @pytest.mark.parametrize(
     "case",
-    [pytest.param(case, marks=() if case in ("stopped", "frozen") else pytest.mark.long) for case in CASES],
+    [
+        pytest.param(
+            case,
+            marks=() if case in ("stopped", "frozen") else pytest.mark.long("the other ends of an agent"),
+        )
+        for case in CASES
+    ],
 )
 async def test_whatever_becomes_of_an_agent_its_drone_stops_and_is_let_go(case):
     flight = await fly(case, seed=1)

@@ -18,12 +18,14 @@ import aiohttp
 import pytest
 
 from support.browser import browser_page, needs_chromium, until_said
+from support.called import called
 from support.certificates import certificate
 from support.patience import PATIENCE, eventually
 from support.places import ROOT
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
+from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.scripted_team import scripted_team
 
 PAGE = ROOT / "swarmtrack" / "monitor" / "page" / "index.html"
@@ -191,7 +193,7 @@ async def test_it_fits_its_screen(team: str, n: int, width: int, height: int) ->
 
 
 @needs_chromium
-@pytest.mark.parametrize("drones", [10, pytest.param(30, marks=pytest.mark.long)])
+@pytest.mark.parametrize("drones", [10, pytest.param(30, marks=pytest.mark.long("thirty drones, not ten"))])
 async def test_a_large_team_has_a_readable_matrix(team: str, drones: int) -> None:
     async with scripted_team(team, drones), monitor(team) as served, browser_page() as (page, misdeeds):
         await page.goto(served.url)
@@ -400,12 +402,9 @@ async def test_nonsense_from_a_page_ends_its_link_and_nothing_else(team: str) ->
         (["--certificate", "page.pem"], 2, "--certificate alone, expected"),
     ],
 )
-async def test_wrong_usage_is_a_sentence(arguments: list[str], code: int, says: str) -> None:
-    process = await asyncio.create_subprocess_exec(
-        *(sys.executable, "-m", "swarmtrack.agents.main", "monitor", *arguments),
-        stderr=asyncio.subprocess.PIPE,
-        cwd=ROOT,
-    )
-    _, errors = await asyncio.wait_for(process.communicate(), PATIENCE)
-    assert (process.returncode, "Traceback" in errors.decode()) == (code, False), errors
-    assert says in errors.decode()
+def test_wrong_usage_is_a_sentence(
+    arguments: list[str], code: int, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = called(swarmtrack.main, ["monitor", *arguments], capsys)
+    assert said.code == code, said.err
+    assert says in said.err

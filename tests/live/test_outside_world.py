@@ -257,7 +257,7 @@ slots = { 2 = [-6.0, 0.0, -1.0] }
 """
 
 
-@pytest.mark.long
+@pytest.mark.long("76 s in formation; the default run flies the script of one drone")
 def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
     """docs/examples/formation_pilots.py at the ground stations' ports; two agents of ours, one of which flies."""
     with others(tmp_path, BEHIND + "[expected]\n", seconds=76.0) as flying:

@@ -91,7 +91,16 @@ def actions_of(text: str) -> Iterator[str]:
     yield from re.findall(r"^    ([\w-]+)(?: |$)", listed, re.MULTILINE)
 
 
-def test_help_of_every_command_and_action(stranger: Stranger) -> None:
+@pytest.mark.parametrize(
+    "actions",
+    [
+        pytest.param(False, id="commands"),
+        pytest.param(
+            True, id="actions", marks=pytest.mark.long("forty processes more: the help of each action")
+        ),
+    ],
+)
+def test_help_of_every_command_and_action(stranger: Stranger, actions: bool) -> None:
     overview = stranger.types("swarmtrack --help")
     commands = re.findall(r"^  ([a-z]+) {2,}[a-z]", overview.partition("options:")[0], re.MULTILINE)
     assert len(commands) > 15
@@ -104,7 +113,7 @@ def test_help_of_every_command_and_action(stranger: Stranger) -> None:
             for action in actions_of(text)
         ]
         assert "swarmtrack config check --help" in deeper
-        list(pool.map(stranger.types, deeper))
+        list(pool.map(stranger.types, deeper if actions else ["swarmtrack config check --help"]))
     assert "heard no message" in stranger.types(
         "swarmtrack echo 'health/*' --seconds 1 --team nobody-is-here"
     )
@@ -113,27 +122,39 @@ def test_help_of_every_command_and_action(stranger: Stranger) -> None:
     stranger.types("swarmtrack sim --list")
 
 
-def test_mistakes_are_answered_in_a_sentence(stranger: Stranger) -> None:
+MISTAKES = {
+    "swarmtrack sin": "did you mean sim?",
+    "swarmtrack config chek drone.toml": "did you mean check?",
+    "swarmtrack sim crosing": "did you mean",
+    "swarmtrack config check wrong.toml": 'did you mean "source"?',
+    "swarmtrack-agent --config wrong.toml": 'did you mean "source"?',
+    "swarmtrack replay junk.mcap": "junk.mcap",
+}
+MORE_MISTAKES = {
+    "swarmtrack sim --tracker jpdf": "did you mean jpdaf?",
+    "swarmtrack config check nowhere.toml": "nowhere.toml",
+    "swarmtrack doctor --config wrong.toml": 'did you mean "source"?',
+    "swarmtrack video nowhere.mp4": "nowhere.mp4",
+    "swarmtrack video wrong.toml": "wrong.toml",
+    "swarmtrack replay nowhere": "nowhere",
+    "swarmtrack log info junk.mcap": "junk.mcap",
+    "swarmtrack monitor --recording nowhere": "nowhere",
+    "swarmtrack keys list nowhere": "nowhere",
+    "swarmtrack sim --drones 100000": "drones",
+}
+
+
+@pytest.mark.parametrize(
+    "mistakes",
+    [
+        pytest.param(MISTAKES, id="short"),
+        pytest.param(MORE_MISTAKES, id="long", marks=pytest.mark.long("ten processes more, a mistake each")),
+    ],
+)
+def test_mistakes_are_answered_in_a_sentence(stranger: Stranger, mistakes: dict[str, str]) -> None:
     (stranger.folder / "wrong.toml").write_text('[drone]\nid = 0\n[camera]\nsorce = "v4l2:///dev/video0"\n')
     (stranger.folder / "junk.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(range(256)))
-    for command, said in (
-        ("swarmtrack sin", "did you mean sim?"),
-        ("swarmtrack config chek drone.toml", "did you mean check?"),
-        ("swarmtrack sim crosing", "did you mean"),
-        ("swarmtrack sim --tracker jpdf", "did you mean jpdaf?"),
-        ("swarmtrack config check wrong.toml", 'did you mean "source"?'),
-        ("swarmtrack config check nowhere.toml", "nowhere.toml"),
-        ("swarmtrack doctor --config wrong.toml", 'did you mean "source"?'),
-        ("swarmtrack-agent --config wrong.toml", 'did you mean "source"?'),
-        ("swarmtrack video nowhere.mp4", "nowhere.mp4"),
-        ("swarmtrack video wrong.toml", "wrong.toml"),
-        ("swarmtrack replay nowhere", "nowhere"),
-        ("swarmtrack replay junk.mcap", "junk.mcap"),
-        ("swarmtrack log info junk.mcap", "junk.mcap"),
-        ("swarmtrack monitor --recording nowhere", "nowhere"),
-        ("swarmtrack keys list nowhere", "nowhere"),
-        ("swarmtrack sim --drones 100000", "drones"),
-    ):
+    for command, said in mistakes.items():
         assert said in stranger.types(command, 1, 2), command
 
 
@@ -162,7 +183,7 @@ def test_a_config_from_the_first_question_to_the_doctor_and_keys(stranger: Stran
 def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: Stranger) -> None:
     team = f"hour-{secrets.token_hex(4)}"
     command = (
-        f"swarmtrack sim crossing --drones 2 --detector oracle --seconds 8 --record flight --team {team}"
+        f"swarmtrack sim crossing --drones 2 --detector oracle --seconds 5 --record flight --team {team}"
     )
     recorder = stranger.start(f"swarmtrack record heard --team {team}")
     flight = stranger.start(command)

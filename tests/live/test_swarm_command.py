@@ -18,6 +18,7 @@ from urllib.request import urlopen
 import pytest
 
 from support.browser import browser_page, needs_chromium
+from support.called import called
 from support.launcher import finish, living, pid_of, start
 from support.pair_scenario import PAIR, is_fair, is_judged, pair
 from support.patience import PATIENCE, until
@@ -315,8 +316,11 @@ def messages_below(folder):
         (("--team", "a b"), "expected 1 to 64 letters"),
     ],
 )
-def test_wrong_usage_says_what_was_expected_and_starts_nothing(tmp_path, arguments, named):
-    code, said, complained = finish(start(tmp_path, *arguments))
+def test_wrong_usage_says_what_was_expected_and_starts_nothing(
+    tmp_path, arguments, named, capsys, monkeypatch
+):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    code, said, complained = called(swarmtrack.main, ["sim", *arguments], capsys)
     assert code == 2
     assert named in complained
     assert said == ""

@@ -207,7 +207,10 @@ def test_a_camera_that_stands_still_or_turns_steadily_claims_nothing(rate):
         assert clock.used_s == 0.0
 
 
-@pytest.mark.parametrize("seeds", [range(24), pytest.param(range(24, 100), marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "seeds",
+    [range(24), pytest.param(range(24, 100), marks=pytest.mark.long("more seeds, a narrower interval"))],
+)
 def test_quiet_time_teaches_nothing_that_the_first_step_sideways_turns_into_a_wrong_offset(seeds):
     """Fifteen still seconds are explained by any offset; the roll into the first step comes with the very acceleration
     of the bearings that another offset would explain."""

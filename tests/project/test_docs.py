@@ -163,7 +163,7 @@ def run(command: Command, folder: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.long
+@pytest.mark.long("three drones fly with pictures, for 8 s; in the default run, tests/replay replays a swarm")
 def test_a_flight_is_recorded_and_replayed_as_the_docs_say(tmp_path):
     pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
     fly, *look = (command for command in ALL if command.flown and command.page.name == "recording.md")

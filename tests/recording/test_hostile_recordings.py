@@ -204,7 +204,11 @@ def test_a_channel_without_its_schema_is_repaired_without(tmp_path):
 # --- mutants ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(MUTANTS, marks=pytest.mark.long)], ids=["short", "long"])
+@pytest.mark.parametrize(
+    "count",
+    [300, pytest.param(MUTANTS, marks=pytest.mark.long("thousands of mutants, not 300"))],
+    ids=["short", "long"],
+)
 def test_any_mutation_of_a_good_file_is_read_as_far_as_it_is_whole_and_told(tmp_path, count):
     good = written(tmp_path / "life")
     data = good.read_bytes()

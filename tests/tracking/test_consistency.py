@@ -80,7 +80,10 @@ def test_a_band_that_knows_nothing_of_a_tight_gate_would_raise_false_alarms():
     assert alarms > 80
 
 
-@pytest.mark.parametrize(("seeds", "outside"), [(12, 2), pytest.param(30, 3, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("seeds", "outside"),
+    [(12, 2), pytest.param(30, 3, marks=pytest.mark.long("more seeds, a narrower interval"))],
+)
 @pytest.mark.parametrize("name", TRACKERS)
 def test_a_filter_told_the_truth_lies_in_its_band(name, seeds, outside):
     """99 % of the time: of 12, more than two outside would be one chance in 5000; of 30, more than three, in 4000."""
@@ -88,7 +91,10 @@ def test_a_filter_told_the_truth_lies_in_its_band(name, seeds, outside):
     assert sum(not each.low < each.nis < each.high for each in found) <= outside
 
 
-@pytest.mark.parametrize(("seeds", "outside"), [(6, 1), pytest.param(12, 2, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("seeds", "outside"),
+    [(6, 1), pytest.param(12, 2, marks=pytest.mark.long("more seeds, a narrower interval"))],
+)
 @pytest.mark.parametrize("name", TRACKERS)
 def test_clutter_does_not_disturb_it(name, seeds, outside):
     told = {"clutter": 10.0, "clutter_per_scan": 10.0}

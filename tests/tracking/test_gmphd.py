@@ -179,7 +179,10 @@ def simulated(
     return np.array(found)[scans // 3 :]
 
 
-@pytest.mark.parametrize(("seeds", "within"), [(10, 0.05), pytest.param(30, 0.03, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("seeds", "within"),
+    [(10, 0.05), pytest.param(30, 0.03, marks=pytest.mark.long("more seeds, a narrower interval"))],
+)
 @pytest.mark.parametrize("one_to_one", [True, False])
 def test_the_weights_sum_to_the_number_of_targets(one_to_one, seeds, within):
     runs = np.array([simulated(seed, one_to_one=one_to_one) for seed in range(seeds)])
@@ -346,14 +349,19 @@ def crossed(name, seed, speed=30.0, **parameters):
     )
 
 
-@pytest.mark.parametrize(("runs", "kept"), [(20, 19), pytest.param(60, 58, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("runs", "kept"),
+    [(20, 19), pytest.param(60, 58, marks=pytest.mark.long("more seeds, a narrower interval"))],
+)
 @pytest.mark.parametrize("speed", [30.0, 15.0])
 def test_labels_stay_with_their_targets_through_a_crossing(speed, runs, kept):
     """One of 20 lost is up to 22 % (95 %); two of 60, up to 10 %."""
     assert sum(crossed("gmphd", seed, speed) for seed in range(runs)) >= kept
 
 
-@pytest.mark.parametrize("runs", [12, pytest.param(30, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "runs", [12, pytest.param(30, marks=pytest.mark.long("more seeds, a narrower interval"))]
+)
 def test_without_one_to_one_a_slow_crossing_shares_the_labels_out(runs):
     assert sum(crossed("gmphd", seed, 15.0, one_to_one=False) for seed in range(runs)) < 2 * runs / 3
 

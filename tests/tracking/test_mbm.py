@@ -110,7 +110,9 @@ def kept_their_names(seed, *, hypotheses, angle_deg, merge_px, scans, hz=8.0):
     return all(np.linalg.norm(at.get(i, gone) - p) < 15.0 for i, p in zip(ids, truth[-1], strict=True)), doubt
 
 
-@pytest.mark.parametrize("runs", [30, pytest.param(100, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "runs", [30, pytest.param(100, marks=pytest.mark.long("more seeds, a narrower interval"))]
+)
 def test_who_is_who_at_a_crossing_is_in_doubt_for_a_while_and_then_right(runs):
     """Half a dozen scans of one detection for two. Of 30, one lost is up to 16 % (95 %); of 100, up to 5.4 %."""
     kept, doubt = zip(
@@ -419,7 +421,14 @@ def wander(tracker, seed, scans, check=lambda tracker: None):
 
 @pytest.mark.parametrize(
     ("hypotheses", "scans"),
-    [(20, 300), (3, 200), *(pytest.param(*of, marks=pytest.mark.long) for of in [(20, 1200), (3, 800)])],
+    [
+        (20, 300),
+        (3, 200),
+        *(
+            pytest.param(*of, marks=pytest.mark.long("more seeds, a narrower interval"))
+            for of in [(20, 1200), (3, 800)]
+        ),
+    ],
 )
 def test_after_hundreds_of_scans_of_everything_it_hangs_together(hypotheses, scans):
     clustered, confirmed, ended = [], [], set()

@@ -103,7 +103,9 @@ def test_one_product_is_the_drift_and_then_the_turn(turn, seed, angle, dt):
     np.testing.assert_array_equal(alone[0], cov[0])  # an array of densities is one for each target
 
 
-@pytest.mark.parametrize("steps", [2000, pytest.param(10_000, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "steps", [2000, pytest.param(10_000, marks=pytest.mark.long("ten thousand steps, not two"))]
+)
 def test_covariances_stay_symmetric_and_positive_through_thousands_of_random_steps(steps):
     rng = np.random.default_rng(11)
     home = rng.uniform([100, 0, 100, 0], [540, 1e-9, 380, 1e-9], (3, 4))

@@ -64,9 +64,10 @@ def nis_over_expected(tracker):
     return 2.0 * found.nis / (found.low + found.high)
 
 
+@pytest.mark.parametrize("seeds", [(0,), pytest.param((1, 2, 3), marks=pytest.mark.long("three seeds more"))])
 @pytest.mark.parametrize("sigma", [0.5, 1.0, 2.0, 4.0])
-def test_the_noise_of_detections_is_found_both_ways(sigma):
-    for seed in range(2):
+def test_the_noise_of_detections_is_found_both_ways(sigma, seeds):
+    for seed in seeds:
         tracker, _ = flown("mbm", seed, sigma=sigma)
         assert TOLD_SIGMA * tracker.measured_noise.detections == pytest.approx(sigma, rel=0.15)
         assert 0.7 < nis_over_expected(tracker) < 1.4

@@ -48,7 +48,9 @@ def crossing(t):
 
 
 @every_tracker
-@pytest.mark.parametrize("seeds", [4, pytest.param(10, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "seeds", [4, pytest.param(10, marks=pytest.mark.long("more seeds, a narrower interval"))]
+)
 def test_targets_are_found_without_being_told_and_kept(name, seeds):
     for seed in range(seeds):
         tracker = create_tracker(name, camera=CAMERA, clutter_per_scan=2.0, measurement_sigma=1.5)
@@ -59,7 +61,10 @@ def test_targets_are_found_without_being_told_and_kept(name, seeds):
 
 
 @every_tracker
-@pytest.mark.parametrize(("seeds", "most"), [(6, 1), pytest.param(20, 2, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("seeds", "most"),
+    [(6, 1), pytest.param(20, 2, marks=pytest.mark.long("more seeds, a narrower interval"))],
+)
 def test_clutter_alone_confirms_next_to_nothing(name, seeds, most):
     """In six seconds for each seed."""
     ids = set()

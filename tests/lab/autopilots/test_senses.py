@@ -54,8 +54,8 @@ def test_a_range_finder_measures_along_its_beam_as_far_as_it_sees_and_who_has_no
 def test_the_gyro_is_that_of_a_two_pole_low_pass_of_20_hz():
     world = errand()
     imu, rate = Imu(world, 1, NO_NOISE), 2000.0
-    # Take-off, two go-tos, turns: sway and kicks included.
-    times = np.arange(5.0, 32.0, 1.0 / rate)
+    # Take-off, a go-to, a turn: sway and kicks included.
+    times = np.arange(5.0, 17.0, 1.0 / rate)
     true = np.array([world.body_rate(1, t) for t in times])
     filtered = lfilter(*butter(2, 20.0, fs=rate), true, axis=0)
     every = slice(2000, None, 10)
@@ -86,7 +86,7 @@ def test_heading_is_one_to_three_degrees_off_on_the_ground_and_steps_to_a_small_
         assert errors == pytest.approx([errors[0]] * 3)
         on_the_ground.append(errors[0])
         in_flight.append(yaw_error(world, takes_off + 25.1))
-        over = [yaw_error(world, takes_off + s) for s in np.arange(10.0, 25.0, 0.1)]
+        over = [yaw_error(world, takes_off + s) for s in np.arange(10.0, 25.0, 0.5)]
         steps.append(int(np.count_nonzero(np.abs(np.diff(over)) > 1e-6)))
     assert np.abs(on_the_ground).min() >= 1.0
     assert np.abs(on_the_ground).max() <= 3.0

@@ -15,7 +15,13 @@ from swarmtrack.lab.world.sensors import Instant
 from swarmtrack.lab.world.trajectory import wander
 from swarmtrack.messages import Array
 
-TEAMS = [(seed, drones) for seed in range(3) for drones in (2, 3, 4)]
+SHORT = [(0, 2), (1, 3), (2, 4)]
+TEAMS = SHORT + [
+    pytest.param(seed, drones, marks=pytest.mark.long("other seeds for teams of each size"))
+    for seed in range(3)
+    for drones in (2, 3, 4)
+    if (seed, drones) not in SHORT
+]
 
 
 def errand(seed: int = 1, drones: int = 3) -> Scenario:
@@ -84,7 +90,7 @@ def test_the_nose_turns_to_the_way_point():
 
 def test_body_rates_have_no_jumps():
     drone = errand().world.flown(1)
-    times = np.arange(5.0, 30.0, 0.001)
+    times = np.arange(5.0, 17.0, 0.001)
     rates = np.array([drone.motion(t).body_rate for t in times.tolist()])
     # Angular accelerations of a few rad/s², for a millisecond.
     assert np.abs(np.diff(rates, axis=0)).max() < 0.02
@@ -123,7 +129,7 @@ def test_frames_show_the_same_in_whatever_order_they_are_asked_for():
 
 
 def test_a_ghost_fires_as_often_as_its_probability_says_and_always_at_its_place():
-    times, judged = np.arange(0.0, 6.5, 0.02), 0
+    times, judged = np.arange(0.0, 6.5, 0.04), 0
     for seed in (1, 2, 3):
         scenario = errand(seed)
         oracle = OracleDetector(scenario)
@@ -148,7 +154,7 @@ def test_other_scenarios_have_no_ghosts():
 
 
 def test_a_house_a_pole_and_trees_stand_in_every_background():
-    for seed in range(5):
+    for seed in range(2):
         places = Scenery(errand(seed).world, 500.0).places
         for kind, least in (("house", 1), ("pole", 2), ("tree", 15)):
             azimuth = np.arctan2(*places[kind].T[::-1])

@@ -79,7 +79,7 @@ def test_drones_at_the_end_of_the_field_are_named():
     assert len(named) > 60
 
 
-@pytest.mark.long
+@pytest.mark.long("20 s, every scan judged; the default run has nine")
 def test_a_whole_flight_of_it_has_no_wrong_name():
     flight = all_round.fly("fisheye", 20.0, "mbm", 2)
     assert flight.score.wrong == 0.0
