@@ -8,9 +8,12 @@ by arithmetic. `-s` and a single file run without workers.
 
 from __future__ import annotations
 
+import fcntl
 import functools
 import os
 import signal
+from collections.abc import Generator
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -84,6 +87,16 @@ def queue_of(nodeid: str) -> str:
     return next(
         (name for name, places in QUEUES.items() if below.startswith(places)), below.partition("::")[0]
     )
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Generator[None, Any, Any]:
+    """Of a fresh checkout, the first worker at a file compiles it with pytest's asserts, and the others read that."""
+    if "PYTEST_XDIST_WORKER" not in os.environ or not isinstance(collector, pytest.Module):
+        return (yield)
+    with collector.path.open() as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        return (yield)
 
 
 @pytest.hookimpl(tryfirst=True)

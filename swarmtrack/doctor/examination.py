@@ -29,7 +29,7 @@ NETWORK_SECONDS = 5.0  # at most: whoever is there has answered by then
 async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Finding]:
     """Look for so many seconds. Raises SwarmtrackError only where a simulation is asked for that does not exist."""
     simulation = make_simulation(config, clock)
-    mounts = [_mount(section, simulation) for section in config.cameras]
+    mounts = [mount_facts(section, simulation) for section in config.cameras]
     network = asyncio.create_task(team.ask(config, clock, min(seconds, NETWORK_SECONDS)))
     watch = SensorWatch(config, [facts.mounted for facts in mounts], clock, simulation)
     watched = await watch.run(seconds)
@@ -57,7 +57,7 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     rates = [dict(seen.facts.status.counters).get("fps") for seen in watched.cameras if seen.facts.status]
     fps = sum(rate for rate in rates if rate is not None) if any(rates) else next(iter(rates), None)
     newest = next((seen.newest for seen in watched.cameras if seen.newest is not None), None)
-    detector = await asyncio.to_thread(_detector, config, clock, mounts[0].mounted, newest, fps)
+    detector = await asyncio.to_thread(detector_facts, config, clock, mounts[0].mounted, newest, fps)
     findings += surroundings.check_detector(detector)
     heard = await network
     findings += surroundings.check_network(heard)
@@ -73,7 +73,7 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     return [*missing, *findings]
 
 
-def _mount(section: CameraSection, simulation: SimulatedSources | None) -> MountFacts:
+def mount_facts(section: CameraSection, simulation: SimulatedSources | None) -> MountFacts:
     sits = section.body_from_camera
     try:
         mounted = mount(section, simulation)
@@ -82,7 +82,7 @@ def _mount(section: CameraSection, simulation: SimulatedSources | None) -> Mount
     return MountFacts(mounted, rpy_deg=None if sits is None or simulation is not None else sits.rpy_deg)
 
 
-def _detector(
+def detector_facts(
     config: DroneConfig,
     clock: Clock,
     mounted: MountedCamera | None,

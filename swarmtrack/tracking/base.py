@@ -96,7 +96,7 @@ class Tracker:
         camera = sensor.camera
         self._camera_index = camera_index
         self._sensor = sensor
-        self._filter = filter
+        self.filter = filter
         self._innovations = InnovationWindow(sensor.parameters.gate_probability)
         self._reach = Reach(camera)
         self._smoother = FixedLag(sensor.parameters.lag_s, camera, TURNS[sensor.parameters.profile])
@@ -119,7 +119,7 @@ class Tracker:
     def tracks(self) -> tuple[Track, ...]:
         if self._t is None:
             return ()
-        table = self._filter.table
+        table = self.filter.table
         # copies: filters write into theirs
         mean, cov = table.mean.copy(), table.cov.copy()
         self._sensor.add_lasting_error(cov)
@@ -127,7 +127,7 @@ class Tracker:
 
     def _show(self) -> TrackColumns:
         if self._shown is None:
-            self._shown = self._filter.table.shown(self._camera_index)
+            self._shown = self.filter.table.shown(self._camera_index)
         return self._shown
 
     def _changes(self) -> None:
@@ -142,7 +142,7 @@ class Tracker:
     @property
     def counters(self) -> Mapping[str, int]:
         """What was refused or lost, by name, for health."""
-        return {"late_scans": self._late_scans, **self._sensor.counters, **self._filter.counters}
+        return {"late_scans": self._late_scans, **self._sensor.counters, **self.filter.counters}
 
     @property
     def consistency(self) -> Consistency | None:
@@ -162,10 +162,10 @@ class Tracker:
     def initiate(self, t: float, points: Array) -> list[int]:
         """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
         self.predict(t)
-        self._smoother.expect(self._filter.table)
+        self._smoother.expect(self.filter.table)
         self._changes()
-        ids = self._filter.initiate(t, np.asarray(points, dtype=float).reshape(-1, 2))
-        self._smoother.note(t, self._filter.table)
+        ids = self.filter.initiate(t, np.asarray(points, dtype=float).reshape(-1, 2))
+        self._smoother.note(t, self.filter.table)
         return ids
 
     def predict(self, t: float, rotation: Array | None = None, rotation_variance: float = 0.0) -> None:
@@ -177,9 +177,9 @@ class Tracker:
             return  # to the time of a late scan, which `update` will refuse: the rotation leads away from our state
         dt = 0.0 if self._t is None else t - self._t
         self._note_turn(dt, rotation)
-        self._smoother.move(self._filter.table, dt, rotation)
+        self._smoother.move(self.filter.table, dt, rotation)
         self._changes()
-        self._filter.predict(dt, rotation, rotation_variance)
+        self.filter.predict(dt, rotation, rotation_variance)
         self._t = t
 
     def refuses(self, t: float) -> bool:
@@ -204,11 +204,11 @@ class Tracker:
         if scan.t != self._t:
             self.predict(scan.t)
         self._last_scan = scan.t
-        self._smoother.expect(self._filter.table)
+        self._smoother.expect(self.filter.table)
         self._changes()
         measured = self._sensor.usable(scan)
-        explained = self._filter.update(scan.t, measured)
-        self._smoother.note(scan.t, self._filter.table)
+        explained = self.filter.update(scan.t, measured)
+        self._smoother.note(scan.t, self.filter.table)
         self._last = explained.pairs, measured
         # The window judges what was told, unless all was learned.
         nis = explained.pairs.nis
@@ -229,18 +229,18 @@ class Tracker:
     @property
     def estimates(self) -> tuple[NDArray[np.int64], Array, Array]:
         """Numbers (n,), means (n, 4) and covariances (n, 4, 4) of all tracks at the time of the state."""
-        table = self._filter.table
+        table = self.filter.table
         return table.id, table.mean, table.cov
 
     @property
     def sizes(self) -> Array:
         """(n, 2) px, width and height of all tracks, NaN while unknown."""
-        return self._filter.table.size
+        return self.filter.table.size
 
     def extrapolated(self, t: float, rotation: Array | None, rotation_variance: float) -> tuple[Array, Array]:
         """Means (n, 4) and covariances (n, 4, 4) of all tracks carried on to t; the tracker itself is unchanged."""
         if self._course is None:
-            self._course = self._filter.course()
+            self._course = self.filter.course()
         return self._course.at(0.0 if self._t is None else t - self._t, rotation, rotation_variance)
 
     def release(
@@ -249,48 +249,48 @@ class Tracker:
         """Take these rows (n,) of the `tracks` out, carried on to t and turned, for another camera's tracker."""
         assert self._t is not None
         self._changes()
-        return self._filter.release(rows, t - self._t, rotation, rotation_variance)
+        return self.filter.release(rows, t - self._t, rotation, rotation_variance)
 
     def copied(self, rows: NDArray[np.bool_]) -> Passage:
         """These rows (n,) of the `tracks` as they stand, to be adopted again where they have gone meanwhile."""
-        return self._filter.copied(rows)
+        return self.filter.copied(rows)
 
     @property
     def missed(self) -> NDArray[np.bool_]:
         """(n,) that a track was not detected in the last scan."""
-        return np.isfinite(self._filter.table.missed_since)
+        return np.isfinite(self.filter.table.missed_since)
 
     @property
     def gone_since(self) -> Array:
         """(n,) s, of tracks that are lost because they are out of the picture: the first scan that missed them; NaN of
         all others."""
-        table = self._filter.table
+        table = self.filter.table
         gone = table.lost & table.confirmed & (table.existence >= LOST_BELOW)
         return np.where(gone, table.missed_since, np.nan)
 
     def not_lost(self, rows: NDArray[np.bool_]) -> None:
         """These rows (n,) are out of this picture, but not out of sight of the drone."""
         self._changes()
-        self._filter.table.lost[rows] = False
+        self.filter.table.lost[rows] = False
 
     def adopt(self, arriving: Passage) -> None:
         """Tracks that another one released, in pixels of this camera at the time of the state."""
         self._changes()
-        self._filter.adopt(arriving)
+        self.filter.adopt(arriving)
 
     def end_unseen(self, t: float) -> None:
         """By t no scan has come for a while: who was not detected for `max_coast_s` has ended all the same. Nothing is
         learned of it, and a scan that comes after all is not late."""
         if self._t is None:
             return
-        table, most = self._filter.table, self._sensor.parameters.max_coast_s
+        table, most = self.filter.table, self._sensor.parameters.max_coast_s
         unseen = t - table.last_seen >= most
         if unseen.any():
             self.release(unseen, self._t, np.eye(3), 0.0)
 
     def vouch(self, track_id: int) -> None:
         """Something else than its looks says that a weak look-alike is a target: it may be confirmed."""
-        table = self._filter.table
+        table = self.filter.table
         table.likeness[table.id == track_id] = np.inf
 
     def at(

@@ -52,7 +52,7 @@ def best_matchings(log_weight: Array, gain: Array, count: int, least: float) -> 
     h, k, m = gain.shape
     depth = -np.log(least)
     breadth = max(BREADTH * count, LEAST_BREADTH)
-    price, reached = _tightest_prices(log_weight, gain)
+    price, reached = tightest_prices(log_weight, gain)
     net = np.concatenate([gain - price[:, None], np.zeros((h, k, 1))], axis=2)
     best = net.max(axis=2)
     slack = best[:, :, None] - net
@@ -95,7 +95,7 @@ def _widest_last(slack: Array, depth: float) -> list[int]:
     return [int(row) for row in np.argsort(open_choices, kind="stable")]
 
 
-def _tightest_prices(log_weight: Array, gain: Array) -> tuple[Array, float]:
+def tightest_prices(log_weight: Array, gain: Array) -> tuple[Array, float]:
     """Prices (h, m) with which no hypothesis is promised more than the best matching of all is worth; and its value.
 
     Branch and bound: whoever is promised more than the best found yet is asked for its own best and its prices, which
@@ -105,7 +105,7 @@ def _tightest_prices(log_weight: Array, gain: Array) -> tuple[Array, float]:
     price, promised, reached = np.zeros((h, m)), np.full(h, np.inf), -np.inf
     promising = int(log_weight.argmax())
     while promised[promising] > reached:
-        fair, value = _fair_prices(gain[promising])
+        fair, value = fair_prices(gain[promising])
         bound = log_weight + (gain - fair).max(axis=2, initial=0.0).sum(axis=1) + fair.sum()
         tighter = bound < promised
         price[tighter], promised[tighter] = fair, bound[tighter]
@@ -115,7 +115,7 @@ def _tightest_prices(log_weight: Array, gain: Array) -> tuple[Array, float]:
     return price, reached
 
 
-def _fair_prices(gain: Array) -> tuple[Array, float]:
+def fair_prices(gain: Array) -> tuple[Array, float]:
     """Prices (m,) ≥ 0 at which the best matching of gain (k, m) leaves nobody any slack, and its value.
 
     The lowest such: nobody would rather have another's detection than their own, so p_j ≥ p_i + gain_j − gain_i for the

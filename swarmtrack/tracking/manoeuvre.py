@@ -191,7 +191,7 @@ def predict(
     `motion_model.propagate`). Back, for some hundredths of a second, all move as they do."""
     if not len(mixture.mean):
         return mixture
-    F, Q = _transitions(dt, manoeuvres)
+    F, Q = transitions(dt, manoeuvres)
     if dt < 0.0:
         (mean, cov, mode), Q = mixture, np.zeros_like(Q)
     else:
@@ -243,7 +243,7 @@ def _squared_length(y: Array, S: Array, determinant: Array) -> Array:
 
 def _interact(mixture: ModeMixture, dt: float, manoeuvres: Manoeuvres) -> ModeMixture:
     """The modes' change within dt: what each begins with is a mix of what both ended with."""
-    change = _mode_changes(dt, manoeuvres)  # (M, M), from row to column
+    change = mode_changes(dt, manoeuvres)  # (M, M), from row to column
     mode, M = mixture.mode @ change, len(change)
     # (n, M, M): share of the column's in the row's new one
     share = change.T * mixture.mode[:, None] / mode[:, :, None]
@@ -259,7 +259,7 @@ def _interact(mixture: ModeMixture, dt: float, manoeuvres: Manoeuvres) -> ModeMi
     return ModeMixture(share @ mixture.mean, cov, mode)
 
 
-def _mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
+def mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
     """(M, M) probability of being in the column's mode dt after the row's: a Markov chain in continuous time, so that
     two short steps are one long one. Who leaves a mode draws the next as often as usual."""
     usual = manoeuvres.usual
@@ -267,7 +267,7 @@ def _mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
     return np.asarray((1.0 - forgotten) * np.eye(len(usual)) + forgotten * usual)
 
 
-def _transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
+def transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
     """F (M, 6, 6) and Q (M, 6, 6) of all modes over dt. Singer (1970); Bar-Shalom et al. (2001), section 8.2.3."""
     rate, variance, q = 1.0 / manoeuvres.lasting_s, manoeuvres.acceleration_variance, manoeuvres.calm_psd
     p, v, a = _reach(dt, rate)

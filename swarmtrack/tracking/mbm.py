@@ -214,9 +214,9 @@ class Mbm:
         self._depth = -math.log(parameters.least_weight)
         self._population = Population(sensor, parameters, ids)
         nobody = manoeuvre.begun(np.empty((0, 4)), np.empty((0, 4, 4)), self._manoeuvres)
-        self._leaves = Leaves(np.empty(0, np.intp), nobody, np.empty(0), np.empty((0, 2)))
-        self._best: Indices = np.empty(0, np.intp)  # of each track, its leaf in the best hypothesis
-        self._clusters: list[Cluster] = []
+        self.leaves = Leaves(np.empty(0, np.intp), nobody, np.empty(0), np.empty((0, 2)))
+        self.best: Indices = np.empty(0, np.intp)  # of each track, its leaf in the best hypothesis
+        self.clusters: list[Cluster] = []
         self.counters = {"hypotheses_cut": 0}
 
     @property
@@ -229,7 +229,7 @@ class Mbm:
         return ids
 
     def predict(self, dt: float, rotation: Array | None, rotation_variance: float) -> None:
-        leaves, scale = self._leaves, self._sensor.noise.motion
+        leaves, scale = self.leaves, self._sensor.noise.motion
         motion = manoeuvre.predict(
             leaves.motion,
             dt,
@@ -240,10 +240,8 @@ class Mbm:
             turn=self._turn,
         )
         existence = lifecycle.survive(leaves.existence, dt, self._parameters.p_survival)
-        self._leaves = leaves._replace(motion=motion, existence=existence)
-        self._clusters = [
-            clusters.faded(cluster, dt / self._parameters.doubt_s) for cluster in self._clusters
-        ]
+        self.leaves = leaves._replace(motion=motion, existence=existence)
+        self.clusters = [clusters.faded(cluster, dt / self._parameters.doubt_s) for cluster in self.clusters]
         self._population.survive(dt)
         self._show_best()
 
@@ -305,7 +303,7 @@ class Mbm:
     # --- what the scan says -------------------------------------------------------------------------
 
     def _weigh(self, measured: Measurements) -> Weighed:
-        table, leaves = self.table, self._leaves
+        table, leaves = self.table, self.leaves
         visibility = self._sensor.visibility(table.mean, table.cov, table.size, table.existence)
         boxes = self._sensor.box_likelihoods(leaves.size, measured)
         ratio, misdrawn = self._with_outliers(boxes, measured)
@@ -328,10 +326,10 @@ class Mbm:
     def _log_ratio(self, boxes: Array, measured: Measurements, shift: Array | None = None) -> Array:
         """(…, L, m) by all modes, … that of measured.R; boxes (L, m): see `SensorModel.box_likelihoods`; shift (n, 2,
         2) px² of each track's detections."""
-        mean, cov, mode = self._leaves.motion
+        mean, cov, mode = self.leaves.motion
         if shift is not None:
             cov = cov.copy()
-            cov[:, :, PLACE, PLACE] += shift[self._leaves.owner][:, None]
+            cov[:, :, PLACE, PLACE] += shift[self.leaves.owner][:, None]
         by_mode = self._sensor.likelihoods(
             mean.reshape(-1, 6), cov.reshape(-1, 6, 6), boxes.repeat(mode.shape[1], axis=0), measured
         ).log_ratio
@@ -370,7 +368,7 @@ class Mbm:
         overlap = overlap * self.table.existence
         shift = self._shift_of_merged(overlap)
         p = (1.0 - (1.0 - self._alone_in_scan(ratio)[None] * overlap[:, :, None]).prod(axis=1))[
-            self._leaves.owner
+            self.leaves.owner
         ]
         p[p < self._parameters.least_weight] = 0.0
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -381,7 +379,7 @@ class Mbm:
     def _alone_in_scan(self, ratio: Array) -> NDArray[np.bool_]:
         """(n, m) whether a track has no other detection that is rather its own than clutter: who has, was not merged
         into this one."""
-        first = np.searchsorted(self._leaves.owner, np.arange(len(self.table)))
+        first = np.searchsorted(self.leaves.owner, np.arange(len(self.table)))
         own = np.maximum.reduceat(ratio, first, axis=0) > 0.0
         return np.asarray(own.sum(axis=1, keepdims=True) - own == 0)
 
@@ -403,11 +401,11 @@ class Mbm:
         if not len(confirmed):
             return Explanation(Association(confirmed, confirmed), [], taken)
         alone, groups = self._groups(confirmed, weighed)
-        settled, doubtful = self._settle(self._best.take(alone), weighed)
+        settled, doubtful = self._settle(self.best.take(alone), weighed)
         taken[settled.column[settled.column >= 0]] = 1.0
 
         disputed = []
-        for tracks in [*groups, *self._leaves.owner[doubtful][:, None]]:
+        for tracks in [*groups, *self.leaves.owner[doubtful][:, None]]:
             cluster, column = self._explain_cluster(self._cluster_of(tracks), weighed)
             disputed.append((cluster, column))
             for track in range(column.shape[1]):
@@ -420,12 +418,12 @@ class Mbm:
         other."""
         wanted = self._wanted(weighed).take(confirmed, axis=0)
         by_several = wanted.sum(axis=0) > 1
-        if not (self._clusters or by_several.any()):
+        if not (self.clusters or by_several.any()):
             return confirmed, []
         shared = wanted[:, by_several]
         label = clusters.components(self._related(confirmed, shared))
         alone = np.bincount(label, minlength=len(label))[label] == 1
-        for cluster in self._clusters:
+        for cluster in self.clusters:
             alone[np.searchsorted(confirmed, cluster.tracks)] = False
         others, label = confirmed[~alone], label[~alone]
         return confirmed[alone], [others[label == first] for first in np.unique(label)]
@@ -433,9 +431,9 @@ class Mbm:
     def _wanted(self, weighed: Weighed) -> NDArray[np.bool_]:
         """(n, m) detections that some leaf of a track may have made."""
         wanted = weighed.gain > -np.inf
-        if not self._clusters:
+        if not self.clusters:
             return wanted
-        first = np.searchsorted(self._leaves.owner, np.arange(len(self.table)))
+        first = np.searchsorted(self.leaves.owner, np.arange(len(self.table)))
         return np.asarray(np.logical_or.reduceat(wanted, first, axis=0))
 
     def _related(self, confirmed: Indices, shared: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -444,7 +442,7 @@ class Mbm:
         related = np.eye(len(confirmed), dtype=np.bool_)
         if shared.shape[1]:
             related |= shared @ shared.T
-        for cluster in self._clusters:
+        for cluster in self.clusters:
             rows = np.searchsorted(confirmed, cluster.tracks)
             related[np.ix_(rows, rows)] = True
         return related
@@ -465,11 +463,11 @@ class Mbm:
 
     def _cluster_of(self, tracks: Indices) -> Cluster:
         """One cluster of all that is known about these tracks."""
-        involved = [cluster for cluster in self._clusters if cluster.tracks[0] in tracks]
+        involved = [cluster for cluster in self.clusters if cluster.tracks[0] in tracks]
         known = {int(track) for cluster in involved for track in cluster.tracks}
         settled = np.array([track for track in tracks if track not in known], dtype=np.intp)
         if len(settled):
-            involved.append(Cluster(settled, self._best[settled][None], np.zeros(1)))
+            involved.append(Cluster(settled, self.best[settled][None], np.zeros(1)))
         whole = involved[0]
         for cluster in involved[1:]:
             whole = clusters.product(whole, cluster, self._parameters.hypotheses)
@@ -499,11 +497,11 @@ class Mbm:
 
     def _explain_tentative(self, weighed: Weighed, taken: Array) -> Association:
         """Each makes the detection, or none, that together is most likely of what the confirmed ones left."""
-        leaves = self._best[~self.table.confirmed]
+        leaves = self.best[~self.table.confirmed]
         if not len(leaves):
             return Association(leaves, leaves)
         left = np.flatnonzero(taken < 1.0 - LEAST_AVAILABLE)
-        p_detection = weighed.visibility.p_detection[self._leaves.owner[leaves]]
+        p_detection = weighed.visibility.p_detection[self.leaves.owner[leaves]]
         with np.errstate(divide="ignore"):
             odds = np.log(p_detection / (1.0 - p_detection))
         ratio = weighed.ratio[leaves[:, None], left] + odds[:, None] + np.log(1.0 - taken[left])
@@ -532,7 +530,7 @@ class Mbm:
             cluster._replace(leaf=leaf) for (cluster, _), leaf in zip(disputed, rows[2:], strict=True)
         ]
         alone = self._alone(weighed)
-        if self._parameters.learn_noise == "both" and self._clusters:
+        if self._parameters.learn_noise == "both" and self.clusters:
             alone |= self._alone_in_dispute(weighed) & np.isnan(measured.size[:, 0])
         (hit,) = (told.column >= 0).nonzero()
         owner, column = leaves.owner.take(hit), told.column.take(hit)
@@ -566,9 +564,9 @@ class Mbm:
         """(L, m) detections in the gate of one confirmed track only, which has one leaf, and no other in it: it
         surely made them, however badly they fit."""
         gated = weighed.ratio > -np.inf
-        gated &= self.table.confirmed[self._leaves.owner][:, None]
+        gated &= self.table.confirmed[self.leaves.owner][:, None]
         gated &= (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
-        gated[self._leaves.existence <= SURELY_THERE] = False
+        gated[self.leaves.existence <= SURELY_THERE] = False
         return gated
 
     def _alone_in_dispute(self, weighed: Weighed) -> NDArray[np.bool_]:
@@ -577,24 +575,24 @@ class Mbm:
         nothing would ever be learned. Only of points: the box of a track in dispute may be one around two drones, or
         around a part of one, and from such boxes a noise is learned that loses names in rendered flights.
         """
-        table, leaves = self.table, self._leaves
+        table, leaves = self.table, self.leaves
         gated = self._gated(weighed) & table.confirmed[:, None]
         gated &= (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
         alone = np.zeros_like(weighed.ratio, np.bool_)
-        alone[self._best] = gated & (weighed.ratio[self._best] > -np.inf)
+        alone[self.best] = gated & (weighed.ratio[self.best] > -np.inf)
         alone[leaves.existence <= SURELY_THERE] = False
         return alone
 
     def _gated(self, weighed: Weighed) -> NDArray[np.bool_]:
         """(n, m) detections in the gate of some leaf of a track."""
-        first = np.searchsorted(self._leaves.owner, np.arange(len(self.table)))
+        first = np.searchsorted(self.leaves.owner, np.arange(len(self.table)))
         return np.asarray(np.logical_or.reduceat(weighed.ratio > -np.inf, first, axis=0))
 
     def _continued(
         self, told: Association, measured: Measurements, weighed: Weighed, taken: Array
     ) -> tuple[Leaves, ModeInnovations]:
         """The leaves after the scan, and of those that made a detection how well it fitted."""
-        before = self._leaves.take(told.leaf)
+        before = self.leaves.take(told.leaf)
         (hit,) = (told.column >= 0).nonzero()
         leaf, column, owner = told.leaf.take(hit), told.column.take(hit), before.owner
         R, drawn_well = measured.R.take(column, axis=0), np.ones((len(hit), 1))
@@ -644,7 +642,7 @@ class Mbm:
         best = np.full(len(self.table), NONE)
         best[leaves.owner[settled]] = settled
         if not continued:  # one leaf a track, in the table's order
-            self._leaves, self._best, self._clusters = leaves, best, []
+            self.leaves, self.best, self.clusters = leaves, best, []
             return best
         disputed = []
         for cluster in continued:
@@ -654,26 +652,26 @@ class Mbm:
             if left is not None:
                 disputed.append(left)
         kept = np.unique(np.concatenate([best, *(cluster.leaf.ravel() for cluster in disputed)]))
-        self._leaves = leaves.take(kept)
-        self._best = np.searchsorted(kept, best)
-        self._clusters = [cluster._replace(leaf=np.searchsorted(kept, cluster.leaf)) for cluster in disputed]
+        self.leaves = leaves.take(kept)
+        self.best = np.searchsorted(kept, best)
+        self.clusters = [cluster._replace(leaf=np.searchsorted(kept, cluster.leaf)) for cluster in disputed]
         return best
 
     def _show_best(self) -> None:
         """The table's rows are the leaves of the best hypothesis."""
         table = self.table
         table.mean, table.cov = manoeuvre.merged(self._published())
-        table.size = self._leaves.size.take(self._best, axis=0)
+        table.size = self.leaves.size.take(self.best, axis=0)
 
     def _published(self) -> ModeMixture:
         """Of each track, the leaf of the best hypothesis; the only one where nothing is in dispute."""
-        motion = self._leaves.motion
-        return motion.take(self._best) if self._clusters else motion
+        motion = self.leaves.motion
+        return motion.take(self.best) if self.clusters else motion
 
     def _grow_leaves(self, motion: ModeMixture | None = None) -> None:
         """One for each row that the table has gained; motion: what is known of these beside what the table says."""
-        table, leaves = self.table, self._leaves
-        new = np.arange(len(self._best), len(table))
+        table, leaves = self.table, self.leaves
+        new = np.arange(len(self.best), len(table))
         if not len(new):
             return
         if motion is None:
@@ -685,8 +683,8 @@ class Mbm:
             table.existence[new],
             table.size[new],
         )
-        self._best = np.concatenate([self._best, len(leaves.owner) + np.arange(len(new))])
-        self._leaves = Leaves(
+        self.best = np.concatenate([self.best, len(leaves.owner) + np.arange(len(new))])
+        self.leaves = Leaves(
             np.concatenate([leaves.owner, born.owner]),
             manoeuvre.joined(leaves.motion, born.motion),
             np.concatenate([leaves.existence, born.existence]),
@@ -702,12 +700,12 @@ class Mbm:
     def _keep_rows(self, kept: NDArray[np.bool_]) -> None:
         """The table's other rows (n,) have gone: with them their leaves go, and their part in hypotheses."""
         row = np.cumsum(kept) - 1  # of each track that stays
-        staying = kept[self._leaves.owner]
-        leaves = self._leaves.take(np.flatnonzero(staying))
+        staying = kept[self.leaves.owner]
+        leaves = self.leaves.take(np.flatnonzero(staying))
         leaf = np.cumsum(staying) - 1
-        best = leaf[self._best[kept]]
+        best = leaf[self.best[kept]]
         remaining = []
-        for cluster in self._clusters:
+        for cluster in self.clusters:
             stay = kept[cluster.tracks]
             if stay.any():
                 remaining.append(

@@ -409,9 +409,14 @@ def two_cameras():
     return observer
 
 
+def scenes_of(observer):
+    """What each of its cameras has learned of how surely it sees whom."""
+    return [eye.scene for eye in observer.identities._weighing._eyes]
+
+
 def test_a_drone_that_another_camera_sees_tells_nothing_of_how_surely_this_one_sees_whom_it_shows():
     observer = two_cameras()
-    ahead, aside = (eye.scene for eye in observer.identities._weighing._eyes)
+    ahead, aside = scenes_of(observer)
     assert ahead.seen(2) > PRIOR.p_seen
     assert aside.seen(3) > PRIOR.p_seen
     assert ahead.seen(3) == aside.seen(2) == PRIOR.p_seen
@@ -426,9 +431,9 @@ def test_a_drone_beyond_the_reach_of_a_fisheye_is_not_missed_in_its_corners():
     for drone, direction in zip((2, 3), diagonal, strict=True):
         observer.hears_at(drone, FORWARD.transform(8.0 * direction))
     assert observer.sees(10.0, a=tuple(shown)) == {"a": 2}
-    (eye,) = observer.identities._weighing._eyes
-    assert eye.scene.seen(2) > PRIOR.p_seen
-    assert eye.scene.seen(3) == PRIOR.p_seen
+    (scene,) = scenes_of(observer)
+    assert scene.seen(2) > PRIOR.p_seen
+    assert scene.seen(3) == PRIOR.p_seen
 
 
 def test_a_drone_that_this_camera_has_just_missed_is_not_reported_as_seen():

@@ -60,7 +60,7 @@ def lively(t: float, width: int = 160, height: int = 120):
 async def watched_camera(folder: Path, source: str, seconds: float = 2.0) -> set[str]:
     config = load_config(written(folder, camera=camera_at(source)))
     clock = SystemClock()
-    watch = SensorWatch(config, [examination._mount(config.camera, None).mounted], clock)
+    watch = SensorWatch(config, [examination.mount_facts(config.camera, None).mounted], clock)
     return faults(check_camera((await watch.run(seconds)).cameras[0].facts))
 
 
@@ -241,7 +241,7 @@ async def turned_by_hand(folder: Path, signs: tuple[float, float, float]) -> Fin
     async with Server(seen, fps=10.0) as server, serve_udp(fake, "127.0.0.1", port):
         link = f'link = "udpin:127.0.0.1:{port}"'
         config = load_config(written(folder, camera=camera_at(server.url), autopilot=link))
-        mounted = examination._mount(config.camera, None).mounted
+        mounted = examination.mount_facts(config.camera, None).mounted
         for seconds in (8.0, 16.0, 32.0, 64.0):
             watched = await SensorWatch(config, [mounted], SystemClock()).run(seconds)
             (finding,) = check_motion(watched.cameras[0].motion, mounted)
@@ -342,9 +342,9 @@ def test_models_that_do_not_load_and_providers_that_are_not_here(tmp_path):
     }
     for i, (fault, section) in enumerate(sections.items()):
         config = load_config(written(tmp_path / str(i), detector=section))
-        assert faults(check_detector(examination._detector(config, SystemClock(), None, None, None))) == {
-            fault
-        }
+        assert faults(
+            check_detector(examination.detector_facts(config, SystemClock(), None, None, None))
+        ) == {fault}
 
 
 @pytest.mark.parametrize(
@@ -369,7 +369,7 @@ def test_a_reflection_in_a_calibration_file_is_called_one(tmp_path):
         "  T_cam_imu: [[1,0,0,0],[0,1,0,0],[0,0,-1,0],[0,0,0,1]]\n"
     )
     config = load_config(written(tmp_path, camera=f'source = "{SOURCE}"\ncalibration = "cam.yaml"'))
-    assert "a reflection" in examination._mount(config.camera, None).refused
+    assert "a reflection" in examination.mount_facts(config.camera, None).refused
 
 
 def test_outputs_that_cannot_be_written_and_a_disk_that_is_full(tmp_path, monkeypatch):

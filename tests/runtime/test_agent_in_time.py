@@ -111,7 +111,7 @@ def test_health_says_what_rates_were_asked_for_and_came(tmp_path):
 def test_a_picture_is_sent_ten_times_a_second_while_somebody_listens(tmp_path):
     flight = SimulatedFlight(tmp_path, heard=False)
     flight.camera._period = 1 / 30
-    flight.at(2.0, flight.hub.listeners.append, flight._hear)
+    flight.at(2.0, flight.hub.listeners.append, flight.hear)
     flight.at(4.0, flight.hub.listeners.clear)
     flight.fly(6.0)
     times = flight.times(Kind.VIDEO)

@@ -68,16 +68,16 @@ class Flight:
         self.setpoints = []
         self.reports = 0
 
-    def _collect(self) -> None:
+    def collect(self) -> None:
         self.scans += [event for event in self.door.events() if isinstance(event, ScanReport)]
 
     def tell(self, event) -> None:
         self.door.tell(event)
-        self._collect()
+        self.collect()
 
     def ask(self, t: float) -> None:
         self.answers.append(self.door.tracks(t))
-        self._collect()
+        self.collect()
 
 
 def fly(
@@ -141,7 +141,7 @@ def _happen(flights, flight, scenario, what, index, t) -> None:
             # Engaged anew on the way, and once with a clock that is not known.
             engagement = Engagement(1 if t < 3.0 else 2, clock_known=not 2.0 < t < 2.2)
             flight.setpoints.append(flight.door.command(begin + t, engagement))
-            flight._collect()
+            flight.collect()
         case "scan":
             exposed = index / scenario.fps
             boxes = visible(world, d, scenario.camera, scenario.body_from_camera, exposed)

@@ -164,7 +164,7 @@ class SimulatedFlight:
         self.hub = MemoryHub()
         self.said: list[tuple[float, str, bytes]] = []
         if heard:
-            self.hub.listeners.append(self._hear)
+            self.hub.listeners.append(self.hear)
         self.parts = parts = assemble(load_config(path), self.clock)
         parts.transport = MemoryTransport(self.hub, "swarm", 1, parts.boot, self.clock)
         self.camera = parts.camera = ScriptedCamera(self.clock)
@@ -172,7 +172,7 @@ class SimulatedFlight:
         parts.autopilot = ScriptedAutopilot(self.clock) if autopilot else None
         self.supervisor = Supervisor(self.clock)
 
-    def _hear(self, key: str, payload: bytes) -> None:
+    def hear(self, key: str, payload: bytes) -> None:
         self.said.append((self.clock.now() - BEGIN, keys.parse(key).kind, payload))
 
     def at(self, t: float, do, *args) -> None:

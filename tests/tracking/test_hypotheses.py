@@ -192,7 +192,7 @@ def test_the_order_of_tracks_and_detections_is_nobody_s_business(seed, size):
 def test_at_fair_prices_the_bound_is_the_best_matching(k, m, size, seed):
     """Weak duality holds for any prices ≥ 0; these reach it."""
     _, gain = scan_of(np.random.default_rng(seed), 1, k, m, size=size)
-    price, reached = hypotheses._fair_prices(gain[0])
+    price, reached = hypotheses.fair_prices(gain[0])
     assert price.shape == (m,)
     assert (price >= 0.0).all()
     bound = (gain[0] - price).max(axis=1, initial=0.0).sum() + price.sum()
@@ -205,7 +205,7 @@ def test_at_fair_prices_the_bound_is_the_best_matching(k, m, size, seed):
 @settings(max_examples=80, deadline=None)
 def test_nobody_is_promised_more_than_the_best_is_worth_and_no_less_than_their_own(h, k, m, seed):
     log_weight, gain = scan_of(np.random.default_rng(seed), h, k, m)
-    price, reached = hypotheses._tightest_prices(log_weight, gain)
+    price, reached = hypotheses.tightest_prices(log_weight, gain)
     promised = log_weight + (gain - price[:, None]).max(axis=2, initial=0.0).sum(axis=1) + price.sum(axis=1)
     own = [best_of_all(log_weight[i : i + 1], gain[i : i + 1]) for i in range(h)]
     assert (price >= 0.0).all()
@@ -217,7 +217,7 @@ def test_nobody_is_promised_more_than_the_best_is_worth_and_no_less_than_their_o
 @pytest.mark.parametrize("value", [0.0, 1e-12, 0.1, 12.0, 1e3, 1e9])
 @pytest.mark.parametrize(("k", "m"), [(1, 1), (3, 2), (8, 7), (7, 8), (12, 12)])
 def test_where_all_gains_are_equal_it_ends_and_as_many_as_can_have_one(k, m, value):
-    price, reached = hypotheses._fair_prices(np.full((k, m), value))
+    price, reached = hypotheses.fair_prices(np.full((k, m), value))
     assert reached == pytest.approx(min(k, m) * value)
     assert price == pytest.approx(np.full(m, value if k > m else 0.0))
     found = best_matchings(np.zeros(1), np.full((1, k, m), value), 5, 1e-4)

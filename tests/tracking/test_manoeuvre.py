@@ -120,7 +120,7 @@ def matrix_exponential(dt, told):
 
 @pytest.mark.parametrize("dt", [1e-9, 1e-4, 0.01, 1 / 15, 0.4, 0.9, 1.0, 1.1, 3.0, 10.0, 100.0])
 def test_drift_and_noise_while_agile_are_those_of_the_matrix_exponential(dt):
-    F, Q = manoeuvre._transitions(dt, SWAYING)
+    F, Q = manoeuvre.transitions(dt, SWAYING)
     expected_F, expected_Q = matrix_exponential(dt, SWAYING)
     for axis in (U, V):
         assert F[AGILE][axis] == pytest.approx(expected_F, rel=1e-9, abs=1e-12)
@@ -140,13 +140,13 @@ def test_noise_while_agile_is_singer_s(share):
     q23 = (e2 + 1.0 - 2.0 * e) / (2.0 * alpha**2)
     q33 = (1.0 - e2) / (2.0 * alpha)
     expected = 2.0 * alpha * sigma2 * np.array([[q11, q12, q13], [q12, q22, q23], [q13, q23, q33]])
-    _, Q = manoeuvre._transitions(T, SWAYING)
+    _, Q = manoeuvre.transitions(T, SWAYING)
     assert Q[AGILE][U] == pytest.approx(expected, rel=1e-8)
 
 
 def test_an_agile_target_wanders_as_the_density_says_over_long_times():
     """Velocity's variance grows by agile_psd a second."""
-    _, Q = manoeuvre._transitions(1e4, SWAYING)
+    _, Q = manoeuvre.transitions(1e4, SWAYING)
     assert Q[AGILE][1, 1] == pytest.approx(9000.0 * 1e4, rel=1e-3)
 
 
@@ -263,7 +263,7 @@ def test_predict_mixes_and_moves_as_the_book_does(seed, dt):
     leave_calm = (1.0 - math.exp(-dt * (1 / 4.0 + 1 / 2.0))) * 2.0 / 6.0
     leave_agile = (1.0 - math.exp(-dt * (1 / 4.0 + 1 / 2.0))) * 4.0 / 6.0
     change = [[1.0 - leave_calm, leave_calm], [leave_agile, 1.0 - leave_agile]]
-    F, Q = manoeuvre._transitions(dt, SWAYING)
+    F, Q = manoeuvre.transitions(dt, SWAYING)
     for n in range(2):
         means, covs, later = mixed_by_hand(mixture.mean[n], mixture.cov[n], mixture.mode[n], change)
         assert after.mode[n] == pytest.approx(later)
@@ -348,9 +348,9 @@ def test_who_begins_a_hard_manoeuvre_has_a_hard_acceleration_at_once():
 
 def test_levels_manoeuvre_as_hard_as_they_say():
     """Each by itself moves as the only level of a target that is told its density."""
-    _, Q = manoeuvre._transitions(0.3, LEVELS)
+    _, Q = manoeuvre.transitions(0.3, LEVELS)
     for mode, scale in ((1, 0.04), (2, 1.0)):
-        _, alone = manoeuvre._transitions(0.3, replace(SWAYING, agile_psd=scale * SWAYING.agile_psd))
+        _, alone = manoeuvre.transitions(0.3, replace(SWAYING, agile_psd=scale * SWAYING.agile_psd))
         assert_same(Q[mode], alone[AGILE])
     assert LEVELS.psd == pytest.approx([SWAYING.calm_psd, 0.04 * SWAYING.agile_psd, SWAYING.agile_psd])
 
@@ -424,8 +424,8 @@ def test_the_mix_follows_a_calm_target_closer_and_an_agile_one_no_worse_than_one
 def of_its_own_model(n, steps, dt, sigma, rng):
     """n targets that do what the model says. Yields (state (n, 6), agile (n,), mixture, nis (n,)) after each
     scan."""
-    F, Q = manoeuvre._transitions(dt, SWAYING)
-    change, root = manoeuvre._mode_changes(dt, SWAYING), np.linalg.cholesky(Q)
+    F, Q = manoeuvre.transitions(dt, SWAYING)
+    change, root = manoeuvre.mode_changes(dt, SWAYING), np.linalg.cholesky(Q)
     start, P = np.tile([320.0, 0.0, 240.0, 0.0], (n, 1)), np.diag([4.0, 100.0, 4.0, 100.0])
     mixture = begun(start, np.tile(P, (n, 1, 1)), SWAYING)
     mode = (rng.random(n) < SWAYING.usual[AGILE]).astype(int)

@@ -22,8 +22,8 @@ def mbm(**parameters):
 
 def assert_hangs_together(tracker):
     """What must hold after every scan, whatever it was."""
-    state = tracker._filter
-    table, leaves, best, clusters = state.table, state._leaves, state._best, state._clusters
+    state = tracker.filter
+    table, leaves, best, clusters = state.table, state.leaves, state.best, state.clusters
     n = len(table)
     for column in fields(table):
         assert len(getattr(table, column.name)) == n, column.name
@@ -81,7 +81,7 @@ def watch(tracker, t, z, **scan):
 
 def in_doubt(tracker):
     """How likely the published hypothesis is not the true one, in the cluster that knows least."""
-    return max((1.0 - cluster.weight[0] for cluster in tracker._filter._clusters), default=0.0)
+    return max((1.0 - cluster.weight[0] for cluster in tracker.filter.clusters), default=0.0)
 
 
 def kept_their_names(seed, *, hypotheses, angle_deg, merge_px, scans, hz=8.0):
@@ -174,8 +174,8 @@ def hovering(points, **parameters):
 
 def members(tracker):
     """Ids of each cluster."""
-    table = tracker._filter.table
-    return sorted(sorted(table.id[cluster.tracks].tolist()) for cluster in tracker._filter._clusters)
+    table = tracker.filter.table
+    return sorted(sorted(table.id[cluster.tracks].tolist()) for cluster in tracker.filter.clusters)
 
 
 def test_two_who_want_one_detection_become_a_cluster_and_part_again():
@@ -198,7 +198,7 @@ def test_who_is_far_away_joins_no_cluster_and_has_one_leaf():
     for k in range(1, 5):
         watch(tracker, 0.1 * k, points)
         assert members(tracker) == []
-        assert len(tracker._filter._leaves.owner) == 5
+        assert len(tracker.filter.leaves.owner) == 5
 
 
 def test_two_clusters_that_meet_become_one():
@@ -207,7 +207,7 @@ def test_two_clusters_that_meet_become_one():
     assert members(tracker) == [ids[:2], ids[2:]]
     watch(tracker, 0.2, [[303.0, 200.0], [315.0, 200.0], [327.0, 200.0]])
     assert members(tracker) == [ids]
-    assert len(tracker._filter._clusters[0].log_weight) > 4
+    assert len(tracker.filter.clusters[0].log_weight) > 4
 
 
 def test_a_lone_track_with_a_doubtful_detection_is_a_cluster_of_its_own():
@@ -233,19 +233,17 @@ def test_a_track_that_ends_leaves_its_cluster_in_one_piece():
     tracker, ids = hovering([[300.0, 200.0], [306.0, 200.0], [312.0, 200.0]], max_coast_s=0.45)
     tracker.update(Scan(0.0, np.array([[303.0, 200.0], [309.0, 200.0]])))
     assert members(tracker) == [ids]
-    cluster = tracker._filter._clusters[0]
-    table = tracker._filter.table
+    cluster = tracker.filter.clusters[0]
+    table = tracker.filter.table
     table.last_seen[table.id == ids[1]] = -0.2  # as if the others had been seen later
     before = dict.fromkeys(map(tuple, cluster.leaf[:, [0, 2]].tolist()), 0.0)
     for leaves, weight in zip(cluster.leaf[:, [0, 2]].tolist(), cluster.weight.tolist(), strict=True):
         before[tuple(leaves)] += weight
-    tracker._filter._drop(0.3)
+    tracker.filter._drop(0.3)
     assert_hangs_together(tracker)
     assert [track.id for track in tracker.tracks] == [ids[0], ids[2]]
     assert members(tracker) == [[ids[0], ids[2]]]
-    assert tracker._filter._clusters[0].weight == pytest.approx(
-        sorted(before.values(), reverse=True), abs=0.05
-    )
+    assert tracker.filter.clusters[0].weight == pytest.approx(sorted(before.values(), reverse=True), abs=0.05)
     watch(tracker, 0.35, [[300.0, 200.0], [312.0, 200.0]])
 
 
@@ -264,11 +262,11 @@ def test_the_last_of_a_cluster_may_end_too():
 def test_who_is_initiated_beside_a_cluster_changes_nothing_in_it():
     tracker, ids = hovering([[300.0, 200.0], [306.0, 200.0]])
     watch(tracker, 0.1, [[303.0, 200.0]])
-    weight = tracker._filter._clusters[0].weight
+    weight = tracker.filter.clusters[0].weight
     (third,) = tracker.initiate(0.1, np.array([[303.0, 205.0]]))
     assert_hangs_together(tracker)
     assert members(tracker) == [ids]
-    assert tracker._filter._clusters[0].weight == pytest.approx(weight)
+    assert tracker.filter.clusters[0].weight == pytest.approx(weight)
     watch(tracker, 0.2, [[303.0, 202.0]])
     assert members(tracker) == [[*ids, third]]
 
@@ -278,7 +276,7 @@ def test_one_hypothesis_leaves_nothing_in_dispute():
     for k in range(1, 8):
         watch(tracker, 0.1 * k, [[303.0, 200.0]])
         assert members(tracker) == []
-        assert len(tracker._filter._leaves.owner) == len(tracker.tracks)
+        assert len(tracker.filter.leaves.owner) == len(tracker.tracks)
 
 
 # Existence
@@ -312,7 +310,7 @@ def test_what_targets_make_is_no_clutter():
     )
     for k in range(1, 30):
         watch(tracker, k / 15, [[200.0, 200.0], [400.0, 200.0], [405.0, 200.0]])
-    assert tracker._filter._sensor.clutter_per_scan < 0.3
+    assert tracker.filter._sensor.clutter_per_scan < 0.3
 
 
 @pytest.mark.parametrize("off", [0.0, 3.0, 9.0])
@@ -322,8 +320,8 @@ def test_a_detection_is_as_likely_as_both_models_together_say(off):
     for k in range(1, 15):
         watch(tracker, k / 15, [[300.0, 200.0]])
     tracker.predict(tracker.t + 0.4)
-    state = tracker._filter
-    (mean,), (cov,), (mode,) = state._leaves.motion
+    state = tracker.filter
+    (mean,), (cov,), (mode,) = state.leaves.motion
     z, R = mean[0, 0:4:2] + [off, 0.0], 4.0 * np.eye(2)
     weighed = state._weigh(state._sensor.usable(Scan(tracker.t, z[None])))
     density = 0.0
@@ -332,7 +330,7 @@ def test_a_detection_is_as_likely_as_both_models_together_say(off):
         density += (
             mode[j] * np.exp(-0.5 * y @ np.linalg.solve(S, y)) / np.sqrt(np.linalg.det(2.0 * np.pi * S))
         )
-    detected = 0.8 * state._leaves.existence[0]
+    detected = 0.8 * state.leaves.existence[0]
     assert weighed.ratio[0, 0] == pytest.approx(np.log(density * 640.0 * 480.0 / 1.0), rel=1e-9)
     assert weighed.gain[0, 0] == pytest.approx(weighed.ratio[0, 0] + np.log(detected / (1.0 - detected)))
     assert weighed.missed[0] == pytest.approx(np.log(1.0 - detected))
@@ -435,9 +433,9 @@ def test_after_hundreds_of_scans_of_everything_it_hangs_together(hypotheses, sca
 
     def check(tracker):
         assert_hangs_together(tracker)
-        clustered.append(len(tracker._filter._clusters))
-        confirmed.append(int(tracker._filter.table.confirmed.sum()))
-        ended.update(tracker._filter.table.id.tolist())
+        clustered.append(len(tracker.filter.clusters))
+        confirmed.append(int(tracker.filter.table.confirmed.sum()))
+        ended.update(tracker.filter.table.id.tolist())
 
     tracker = mbm(hypotheses=hypotheses, clutter_per_scan=3.0, measurement_sigma=1.5, resolution_px=4.0)
     with np.errstate(all="raise", under="ignore"):
@@ -461,9 +459,9 @@ def test_the_same_scans_give_the_same_tracks_bit_for_bit():
 
 def test_looking_ahead_changes_no_hypothesis():
     tracker = wander(mbm(clutter_per_scan=3.0), 6, 100)
-    before = [array.copy() for array in tracker._filter._leaves.motion]
+    before = [array.copy() for array in tracker.filter.leaves.motion]
     tracker.at(tracker.t + 0.5, rotation.exp(np.array([0.0, 0.1, 0.0])), 1e-4)
-    for was, now in zip(before, tracker._filter._leaves.motion, strict=True):
+    for was, now in zip(before, tracker.filter.leaves.motion, strict=True):
         assert (was == now).all()
     assert_hangs_together(tracker)
 
@@ -592,13 +590,17 @@ def test_a_track_detected_a_moment_ago_goes_on_although_clutter_leaves_it_in_dou
 # How hard they manoeuvre
 
 
+def levels(**told):
+    return mbm(**told).filter._manoeuvres.levels
+
+
 def test_an_agent_knows_gentle_manoeuvres_and_hard_ones_and_others_what_they_were_told():
-    assert mbm(learn_noise="both")._filter._manoeuvres.levels == (
+    assert levels(learn_noise="both") == (
         manoeuvre.AgileLevel(0.06, pytest.approx(0.9)),
         manoeuvre.AgileLevel(1.0, pytest.approx(0.1)),
     )
     for told in ({}, {"learn_noise": "both", "gentle_share": 1.0}):
-        assert mbm(**told)._filter._manoeuvres.levels == manoeuvre.AS_TOLD
+        assert levels(**told) == manoeuvre.AS_TOLD
 
 
 def error_in_turn(acceleration, hz=8.0, seed=0, **told):

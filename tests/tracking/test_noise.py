@@ -283,7 +283,7 @@ def test_what_lasts_is_published_but_not_believed_by_the_filter(name):
         tracker = create_tracker(name, camera=CAMERA, **BY_HAND, **told)
         tracker.initiate(0.0, np.array([[5000.0, 5000.0]]))
         (now,), (later,) = tracker.tracks, tracker.at(0.1)
-        return tracker._filter.table.cov[0], now.cov, later.cov
+        return tracker.filter.table.cov[0], now.cov, later.cov
 
     # With one level of manoeuvres, so that a new target is as fast as of a tracker that is told.
     one_level = {"gentle_share": 1.0} if name == "mbm" else {}

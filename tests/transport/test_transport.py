@@ -543,8 +543,9 @@ async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stan
             entity.undeclare()
     kept: list[Any] = []
     if question == "kept without an answer":
-        assert silent.transport._session is not None
-        silent.transport._session.declare_queryable(
+        session = silent.transport._session
+        assert session is not None
+        session.declare_queryable(
             keys.key(team, Kind.POSE, 2), zenoh.handlers.Callback(kept.append, indirect=False)
         )
     await eventually(lambda: listener.counter("silent") == 1)

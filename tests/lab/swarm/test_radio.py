@@ -303,9 +303,10 @@ async def test_nothing_is_left_when_its_owner_is_killed(emulator: RadioEmulator)
 async def test_a_switch_that_dies_is_no_quiet_loss(emulator: RadioEmulator):
     async def lose_the_switch() -> None:
         async with RadioEmulator([1, 2], seed=1) as other:
-            assert other._switch is not None
-            other._switch.kill()
-            await other._switch.wait()
+            switch = other._switch
+            assert switch is not None
+            switch.kill()
+            await switch.wait()
 
     with pytest.raises(RadioError, match="switch ended by itself"):
         await lose_the_switch()
