@@ -12,10 +12,10 @@ from swarmtrack.relative.box_width import BoxWidth
 
 
 def test_spans_that_the_shipped_second_stage_tells_are_as_wide_as_its_metadata_say(tmp_path):
-    result = bench.BENCH.publish(tmp_path, seeds=1, processes=1)
+    result = bench.BENCH.publish(tmp_path, seeds=2, processes=1)
     said = Detector().second_stage.box_width
     drawn = result["rows"]["drawn"]
-    assert drawn["boxes"] > 150
+    assert drawn["boxes"] > 300
     for span_px in (15.0, 50.0):
         width = drawn["factor"] * span_px + drawn["padding_px"]
         assert width == pytest.approx(said.factor * span_px + said.padding_px, rel=0.12)

@@ -54,8 +54,8 @@ def test_a_range_finder_measures_along_its_beam_as_far_as_it_sees_and_who_has_no
 def test_the_gyro_is_that_of_a_two_pole_low_pass_of_20_hz():
     world = errand()
     imu, rate = Imu(world, 1, NO_NOISE), 2000.0
-    # Take-off, a go-to, a turn: sway and kicks included.
-    times = np.arange(5.0, 17.0, 1.0 / rate)
+    # Take-off, two go-tos, turns: sway and kicks included.
+    times = np.arange(5.0, 32.0, 1.0 / rate)
     true = np.array([world.body_rate(1, t) for t in times])
     filtered = lfilter(*butter(2, 20.0, fs=rate), true, axis=0)
     every = slice(2000, None, 10)
