@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import swarmtrack
+from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import cost_probe, figures, report
 from swarmtrack.benchmarks.figures import Figure
 from swarmtrack.benchmarks.harness import TRACKER, Benchmark, amount, path, some_of
@@ -44,6 +45,8 @@ Probed = dict[str, float]
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     if args.beside is not None:
         return beside(args.beside, QUICK if args.quick else USUAL, 1 if args.quick else ROUNDS)
+    if "monitor" in args.of:
+        require_extra("dev", "playwright", of="the page in a browser")
     found: dict[str, list[Figure]] = {}
     with report.progress(NAME, len(args.of)) as advance:
         for part in args.of:

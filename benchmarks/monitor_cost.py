@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks.figures import Figure
 from swarmtrack.benchmarks.lone_agent import CAMERA, scripted_agent
 from swarmtrack.benchmarks.processes import OURS, cpu_seconds, module_process
@@ -150,7 +149,6 @@ async def measure_page(seconds: float) -> tuple[float, float, float, float]:
 
 def measured(args: argparse.Namespace) -> list[Figure]:
     """Of an agent that is watched, and of the page."""
-    require_extra("dev", "playwright", of="the page in a browser")
     seconds = 2.0 if args.quick else 5.0
     noise = np.random.default_rng(0).integers(90, 160, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
     scenario = load_scenario("hover-triangle", seed=1)
