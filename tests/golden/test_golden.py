@@ -11,7 +11,16 @@ from support.golden.parts import PARTS
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.long if name == "tables" else ()) for name in PARTS]
+    "name",
+    [
+        pytest.param(
+            name,
+            marks=pytest.mark.long("flies benchmarks for a minute; the flights are in the default run")
+            if name == "tables"
+            else (),
+        )
+        for name in PARTS
+    ],
 )
 def test_nothing_moves_by_accident(name):
     moved = [f"{each.name}: {each.how}" for each in differences(PARTS[name]) if each.beyond_rounding]
