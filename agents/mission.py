@@ -97,10 +97,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _set_points(drone_id: int, team: Sequence[int], hz: float) -> list[tuple[float, Array]]:
     """t [s] from the beginning, and the derivatives (4, 3) of the way; the first and the last at rest."""
-    from swarmtrack.motion.sway import LASTS_S, sway
+    from swarmtrack.motion.priors import SWAY_LASTS_S
+    from swarmtrack.motion.sway import sway
 
-    n = round(LASTS_S * hz)
-    return [(k * LASTS_S / n, sway(drone_id, team, k * LASTS_S / n)) for k in range(n + 1)]
+    n = round(SWAY_LASTS_S * hz)
+    return [(k * SWAY_LASTS_S / n, sway(drone_id, team, k * SWAY_LASTS_S / n)) for k in range(n + 1)]
 
 
 def _write_csv(path: Path, points: dict[int, list[tuple[float, Array]]]) -> None:

@@ -54,7 +54,8 @@ from swarmtrack.lab.world.airframe import Airframe
 from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Frame, StampKind
-from swarmtrack.relative.box_width import LEAST_DRONE, BoxWidth
+from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.relative.priors import LEAST_DRONE_SHARE
 from swarmtrack.runtime.perception import detector_of
 from swarmtrack.training.dataset import cut_out
 from swarmtrack.training.labelled_clips import drone_clips, read_truth
@@ -217,7 +218,9 @@ def range_errors(drones: Sequence[Widths], believed: BoxWidth) -> RangeErrors:
     """Where boxes are believed to be so wide; without boxes of something else."""
     off = []
     for drone in drones:
-        span = np.maximum(drone.box_px - believed.padding_px, LEAST_DRONE * drone.box_px) / believed.factor
+        span = (
+            np.maximum(drone.box_px - believed.padding_px, LEAST_DRONE_SHARE * drone.box_px) / believed.factor
+        )
         error = np.log(drone.span_px / span)
         off.append(error[np.abs(error) < OTHER_THING])
     off = [errors for errors in off if len(errors) >= FEWEST_OF_DRONE]

@@ -34,9 +34,10 @@ from swarmtrack.lab.world.trajectory import Hover, SteadyYaw, Trajectory, YawPro
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Detections, EgoPose, ImuSample, Scan
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.motion.gyro_bias import SURE as SURE_BIAS
 from swarmtrack.motion.gyro_bias import GyroBias
-from swarmtrack.motion.time_offset import SURE, CameraClock
+from swarmtrack.motion.priors import BIAS_USED_SIGMA_RAD_S as SURE_BIAS
+from swarmtrack.motion.priors import OFFSET_USED_SIGMA_S
+from swarmtrack.motion.time_offset import CameraClock
 
 NAME = "offset"
 OFFSETS_S = (-0.080, -0.020, 0.0, 0.040, 0.080)
@@ -244,8 +245,8 @@ def summarise(runs: list[Run]) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     errors, sigmas = np.array([run.errors[-1] for run in runs]), np.array([run.sigmas[-1] for run in runs])
     claims = np.isfinite(errors)
-    used = np.array([bool((run.sigmas < SURE).any()) for run in runs])  # NaN is not smaller
-    first = [_first(run.sigmas < SURE) for run in runs]
+    used = np.array([bool((run.sigmas < OFFSET_USED_SIGMA_S).any()) for run in runs])  # NaN is not smaller
+    first = [_first(run.sigmas < OFFSET_USED_SIGMA_S) for run in runs]
     result: dict[str, Any] = {
         "runs": len(runs),
         "limit_ms": 1e3 * float(np.median([run.limit_s for run in runs])),
@@ -264,7 +265,9 @@ def summarise(runs: list[Run]) -> dict[str, Any]:
             "within_2ms": fraction_interval(within, np.ones(len(runs)))._asdict(),
             "nees": mean_interval(ratio)._asdict(),
         }
-    when_sure = np.array([_when_sure(run) for run in runs if (run.sigmas < SURE).any()]).reshape(-1, 2)
+    when_sure = np.array(
+        [_when_sure(run) for run in runs if (run.sigmas < OFFSET_USED_SIGMA_S).any()]
+    ).reshape(-1, 2)
     if len(when_sure):
         result["worst_when_sure_ms"] = 1e3 * float(np.abs(when_sure[:, 0]).max())
         result["nees_when_sure"] = mean_interval((when_sure[:, 0] / when_sure[:, 1]) ** 2)._asdict()
@@ -273,7 +276,7 @@ def summarise(runs: list[Run]) -> dict[str, Any]:
 
 def _when_sure(run: Run) -> tuple[float, float]:
     """Error and sigma at the worst of the moments in which it was sure enough to be used."""
-    sure = np.flatnonzero(run.sigmas < SURE)
+    sure = np.flatnonzero(run.sigmas < OFFSET_USED_SIGMA_S)
     worst = sure[np.abs(run.errors[sure]).argmax()]
     return float(run.errors[worst]), float(run.sigmas[worst])
 
@@ -397,7 +400,7 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
             right.plot(
                 t[some], 1e3 * np.nanmedian(sigmas[:, some], axis=0), color=line.get_color(), linestyle="--"
             )
-    right.axhline(1e3 * SURE, color="0.3", linestyle=":", linewidth=0.8)
+    right.axhline(1e3 * OFFSET_USED_SIGMA_S, color="0.3", linestyle=":", linewidth=0.8)
     right.set(xlabel="time, s", ylabel="RMS error (dashed: median σ claimed), ms", yscale="log")
     right.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     report.save(figure, path)

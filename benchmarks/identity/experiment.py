@@ -37,7 +37,8 @@ from swarmtrack.lab.score.intervals import Interval, fraction_interval
 from swarmtrack.lab.score.reliability import Reliability, Stated
 from swarmtrack.messages import Array
 from swarmtrack.tracking import marginals
-from swarmtrack.tracking.marginals import WIDEST, matching_marginals, sweep_width
+from swarmtrack.tracking.marginals import matching_marginals, sweep_width
+from swarmtrack.tracking.priors import MARGINALS_MOST_OPEN_ROWS
 
 SEED = 1
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
@@ -197,7 +198,10 @@ def play(cell: Cell, first: int, last: int) -> Chunk:
             stated.setdefault(name, []).append(_stated(probability, layout.truth, k))
         for name, columns in given.items():
             judged.setdefault(name, []).append(_judged(columns, layout.truth))
-        wide = min(ratios["posterior"].shape) > WIDEST and sweep_width(ratios["posterior"]) > WIDEST
+        wide = (
+            min(ratios["posterior"].shape) > MARGINALS_MOST_OPEN_ROWS
+            and sweep_width(ratios["posterior"]) > MARGINALS_MOST_OPEN_ROWS
+        )
         sizes.append((len(layout.truth), int((layout.truth != NOBODY).sum()), wide))
     tracks, team, left_out = np.array(sizes, float).T
     return Chunk(
@@ -252,8 +256,8 @@ def scores(chunks: Sequence[Chunk]) -> dict[str, Method]:
 
 
 class Thinned(NamedTuple):
-    """Layouts whose sweep is `WIDEST` + 1 … `COMPARED_WIDTH` rows wide: what leaving pairs out and what belief
-    propagation alone make of them, beside the exact marginals.
+    """Layouts whose sweep is `MARGINALS_MOST_OPEN_ROWS` + 1 … `COMPARED_WIDTH` rows wide: what leaving pairs out and
+    what belief propagation alone make of them, beside the exact marginals.
 
     off: of the layouts, the largest error of a probability, median and worst; given, wrong: IDs, of `tracks`.
     """
@@ -275,7 +279,7 @@ def thinned(cell: Cell, prior_name: str, layouts: int, limit: int) -> Thinned:
     for k in range(layouts):
         layout = draw(cell, k)
         log_ratio = log_ratios_of(layout, prior)
-        if not WIDEST < sweep_width(log_ratio) <= COMPARED_WIDTH:
+        if not MARGINALS_MOST_OPEN_ROWS < sweep_width(log_ratio) <= COMPARED_WIDTH:
             continue
         exact = matching_marginals(log_ratio, COMPARED_WIDTH)
         found = {

@@ -27,7 +27,7 @@ from swarmtrack.benchmarks.identity.experiment import (
 )
 from swarmtrack.lab.score.intervals import Interval
 from swarmtrack.lab.score.reliability import Reliability, ReliabilityBin
-from swarmtrack.tracking.marginals import WIDEST
+from swarmtrack.tracking.priors import MARGINALS_MOST_OPEN_ROWS
 
 FEWEST = 100  # statements in a bin that is drawn
 FLOOR = 1e-5  # of a logarithmic axis
@@ -115,7 +115,7 @@ def markdown(result: Result) -> str:
         _aims(result),
         "## Every drone has a track, nobody else flies",
         _cells(result, [COMPLETE.name]),
-        f"*too wide*: layouts whose sweep would have more than {WIDEST} rows open, so that pairs were left out.",
+        f"*too wide*: layouts whose sweep would have more than {MARGINALS_MOST_OPEN_ROWS} rows open, so that pairs were left out.",
         "## Strangers and missed drones",
         f"*{AS_EXPECTED.name}*: a drone has a track with {AS_EXPECTED.p_seen:g}, strangers are Poisson with mean"
         f" {AS_EXPECTED.strangers:g}: the prior that agents have. *{CROWDED.name}*: {CROWDED.p_seen:g} and"
@@ -128,7 +128,7 @@ def markdown(result: Result) -> str:
         "Of the IDs given at or above a threshold (all cells): stated → right.",
         _thresholds(result),
         "## Sweeps that are too wide",
-        f"Layouts of the widest cell with {WIDEST + 1} to {COMPARED_WIDTH} rows open, beside the exact marginals."
+        f"Layouts of the widest cell with {MARGINALS_MOST_OPEN_ROWS + 1} to {COMPARED_WIDTH} rows open, beside the exact marginals."
         " *off*: the largest error of a probability in a layout, median and worst.",
         _thinned(result.thinned),
         "## Time of one posterior",

@@ -6,15 +6,13 @@ import math
 
 import numpy as np
 
+from swarmtrack.cameras.priors import BORDER_HALVINGS, OUTLINE_POINTS_PER_SIDE
 from swarmtrack.geometry.camera import Mask, PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 
-HALVINGS = 12  # of the way from the middle to the border: to a thousandth of a picture
-PER_SIDE = 8  # points on each side of the picture
 
-
-def outline(camera: PinholeCamera, per_side: int = PER_SIDE) -> Array:
+def outline(camera: PinholeCamera, per_side: int = OUTLINE_POINTS_PER_SIDE) -> Array:
     """Unit vectors (4 · per_side, 3) in the camera frame, once around the picture from its top left corner, clockwise.
 
     Where the picture goes on beyond the lens model's reach, what is seen ends with that reach.
@@ -101,7 +99,7 @@ def _rays_within_reach(camera: PinholeCamera, border: Array) -> Array:
     middle = camera.middle
     whole = _is_seen(camera, border)
     low, high = np.zeros(len(border)), np.ones(len(border))
-    for _ in range(HALVINGS if not whole.all() else 0):
+    for _ in range(BORDER_HALVINGS if not whole.all() else 0):
         half = 0.5 * (low + high)
         seen = _is_seen(camera, middle + half[:, None] * (border - middle))
         low, high = np.where(seen, half, low), np.where(seen, high, half)

@@ -23,39 +23,34 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.cameras.priors import (
+    PICTURE_BLOCK_LEAD,
+    PICTURE_BLOCK_LEAST_COMPONENTS,
+    PICTURE_BLOCK_S,
+    PICTURE_EVIDENCE_FADES_S,
+    PICTURE_EVIDENCE_FORGOTTEN_S,
+    PICTURE_LEAST_HITS,
+    PICTURE_SCAN_SPACING_S,
+    PICTURE_SETTLED_LEAD,
+    PICTURE_STIRS_S,
+    PICTURE_STIRS_SHARE,
+    PICTURE_TURN_ACCELERATION_RAD_S2,
+    PICTURE_TURN_RATE_RAD_S,
+    PICTURE_TURNED_BLOCKS,
+    PICTURE_TURNED_LEAD,
+    PICTURE_VERDICT_PERIOD_S,
+)
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Scan
-from swarmtrack.motion.bearing_filters import (
-    AGILITIES,
-    BearingFilters,
-    bearings_of,
-    is_lapse,
-    likelihoods,
-)
+from swarmtrack.motion.bearing_filters import BearingFilters, bearings_of, is_lapse, likelihoods
 from swarmtrack.motion.gyro import Orientation, rotation_between
+from swarmtrack.motion.priors import BEARING_AGILITIES
 
 # Camera axes of one that is rolled about its optical axis by half a turn.
 UPSIDE_DOWN: Array = np.diag([-1.0, -1.0, 1.0])
 START = Orientation((1.0, 0.0, 0.0, 0.0), 0.0)
-# s of evidence with one scale; and the least innovations' components, of which there is one.
-BLOCK_S, LEAST_COMPONENTS = 1.0, 8.0
-JUDGED_EVERY_S = 0.3
-# s in which evidence loses all but 1/e of its weight, and after which it is forgotten.
-FADES_S, FORGETS_S = 60.0, 180.0
-# rad/s and rad/s² of the own turn, either of which must be exceeded: the direction of a teammate 4 m away changes so
-# when that flies past at 1.6 m/s, or brakes with 2 m/s².
-FAST, FASTER = 0.4, 0.5
-# Share of these from which on, and s for which after it, targets are followed: nothing is to be learned in a hover.
-STIRS, STIRS_S = 0.3, 0.5
-# s between two scans that are looked at: drones turn slowly.
-APART_S = 0.05
-# Log-likelihood by which another mounting leads when it is said, in so many blocks by so much; and by which the told
-# one leads the first of the others when nothing more is to be learned in this flight.
-SURE, BLOCKS, TELLING, SETTLED = 30.0, 2, 8.0, 50.0
-# The second detection of a target counts: how far it has come, nobody has had a chance to learn.
-LEAST_HITS = 1
-_AGILITY = len(AGILITIES) // 2
+_AGILITY = len(BEARING_AGILITIES) // 2
 
 
 @dataclass(slots=True)
@@ -65,7 +60,7 @@ class _Second:
     end: float
     """When it ends, if it has enough of them."""
     cost: Array
-    log_det: Array = field(default_factory=lambda: np.zeros(len(AGILITIES)))
+    log_det: Array = field(default_factory=lambda: np.zeros(len(BEARING_AGILITIES)))
     components: float = 0.0
 
 
@@ -132,18 +127,18 @@ class PictureTurn:
         if self._settled:
             return
         t = scan.t
-        if self._last is not None and 0.0 <= t - self._last[0] < APART_S:
+        if self._last is not None and 0.0 <= t - self._last[0] < PICTURE_SCAN_SPACING_S:
             return
         turns = self._how_fast(t, orientation)
-        if turns > STIRS:
-            self._stirs_until = t + STIRS_S
+        if turns > PICTURE_STIRS_SHARE:
+            self._stirs_until = t + PICTURE_STIRS_S
         elif t > self._stirs_until:
             return
         bearings, variance = bearings_of(scan, camera)
         axes = self._mountings @ rotation_between(START, orientation).matrix
         turned = (bearings @ axes.transpose(1, 2, 0).reshape(3, -1)).reshape(-1, 3, len(axes))
         y, S, _ = self._filters.follow(
-            t, turned, variance, agility=_AGILITY, likely=self._all, least_hits=LEAST_HITS
+            t, turned, variance, agility=_AGILITY, likely=self._all, least_hits=PICTURE_LEAST_HITS
         )
         if not len(y):
             return
@@ -154,7 +149,7 @@ class PictureTurn:
             block.cost += d.sum(axis=0)
             block.log_det += 2.0 * np.log(S).sum(axis=0)
             block.components += 2.0 * len(y)
-            if t > self._judged + JUDGED_EVERY_S:
+            if t > self._judged + PICTURE_VERDICT_PERIOD_S:
                 self._judged = t
                 self._judge(t)
 
@@ -170,19 +165,24 @@ class PictureTurn:
         dt, before = t - last[0], self._rate
         self._rate = rotation.log(rotation_between(last[1], orientation).matrix) / dt
         faster = np.linalg.norm(self._rate - before) / dt
-        return float(max(np.linalg.norm(self._rate) / FAST, faster / FASTER))
+        return float(
+            max(
+                np.linalg.norm(self._rate) / PICTURE_TURN_RATE_RAD_S,
+                faster / PICTURE_TURN_ACCELERATION_RAD_S2,
+            )
+        )
 
     def _block_of(self, t: float) -> _Second:
         newest = self._blocks[-1] if self._blocks else None
-        if newest is None or (t > newest.end and newest.components >= LEAST_COMPONENTS):
-            newest = _Second(t + BLOCK_S, np.zeros((len(AGILITIES), len(self._mountings))))
+        if newest is None or (t > newest.end and newest.components >= PICTURE_BLOCK_LEAST_COMPONENTS):
+            newest = _Second(t + PICTURE_BLOCK_S, np.zeros((len(BEARING_AGILITIES), len(self._mountings))))
             self._blocks.append(newest)
         return newest
 
     def _judge(self, now: float) -> None:
-        while self._blocks and self._blocks[0].end < now - FORGETS_S:
+        while self._blocks and self._blocks[0].end < now - PICTURE_EVIDENCE_FORGOTTEN_S:
             self._blocks.popleft()
-        blocks = [block for block in self._blocks if block.components >= LEAST_COMPONENTS]
+        blocks = [block for block in self._blocks if block.components >= PICTURE_BLOCK_LEAST_COMPONENTS]
         if not blocks:
             return
         likelihood, _ = likelihoods(
@@ -192,11 +192,14 @@ class PictureTurn:
         )
         of_mounting = np.logaddexp.reduce(likelihood, axis=1)
         leads = of_mounting[:, 1:] - of_mounting[:, :1]
-        lead = np.exp([(block.end - now) / FADES_S for block in blocks]) @ leads
+        lead = np.exp([(block.end - now) / PICTURE_EVIDENCE_FADES_S for block in blocks]) @ leads
         best = int(lead.argmax())
-        if lead[best] > SURE and (leads[:, best] > TELLING).sum() >= BLOCKS:
+        if (
+            lead[best] > PICTURE_TURNED_LEAD
+            and (leads[:, best] > PICTURE_BLOCK_LEAD).sum() >= PICTURE_TURNED_BLOCKS
+        ):
             self.found = best
         elif self.found is not None and lead[self.found] <= 0.0:
             self.found = None
         # Whether cables are swapped a drone that only yaws may never tell; if they are, it is likely by now.
-        self._settled = bool(lead[0] < -SETTLED and (lead < TELLING).all())
+        self._settled = bool(lead[0] < -PICTURE_SETTLED_LEAD and (lead < PICTURE_BLOCK_LEAD).all())

@@ -25,15 +25,26 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.cameras.seams import (
-    LEAST_SHIFT_PX2,
-    PARALLAX_SIGMA,
-    FoundTurn,
-    Seam,
-    SeamComparison,
-    SeamDisagreement,
-    SeamNews,
+from swarmtrack.cameras.priors import (
+    CAMERA_SETTLED_S,
+    COMPARED_BEND_RAD_S2,
+    COMPARED_WITHIN_S,
+    EXPECTED_BORDER_SHARE,
+    EXPECTED_ENDED_SCANS,
+    EXPECTED_MISSED_SCANS,
+    MAY_BE_SEEN_PROBABILITY,
+    MOST_REMEMBERED_TRACKS,
+    OUTSIDE_EVERY_PICTURE_PX,
+    SEAM_DISTANCE_SIGMA,
+    SEAM_DRONE_SPAN_M,
+    SEAM_LEAST_SHIFT_PX2,
+    SEAM_MOST_ASIDE,
+    SEAM_NEAREST_M,
+    SEAM_UNKNOWN_DISTANCE_M,
+    SURELY_SEEN_PROBABILITY,
+    TAKEOVER_LONGEST_BACK_S,
 )
+from swarmtrack.cameras.seams import FoundTurn, Seam, SeamComparison, SeamDisagreement, SeamNews
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Scan, Track
@@ -43,32 +54,7 @@ from swarmtrack.tracking.lifecycle import Reach, probability_in_view
 from swarmtrack.tracking.motion_model import POSITION, optical_flow
 from swarmtrack.tracking.passage import Passage
 
-# s: a scan that was exposed longer before a track's last one does not take it over.
-MOST_BACK = 0.3
-# s that a track must have been with a camera, to tell how the next one is turned against it; and that a camera must not
-# have detected it for, to have lost it to another one.
-SETTLED_S = 0.7
-# m: of an airframe whose box is as wide; by which factor, one sigma, that is wrong; and the distance where there is no
-# box.
-SPAN, SPAN_SIGMA, UNKNOWN_DISTANCE = 0.45, PARALLAX_SIGMA, 5.0
-# s: between two detections of one camera, with one of another between them, that are compared; and rad/s²: by how much
-# a teammate's way between the two may bend, one sigma, as of one 5 m away that brakes with 1 m/s².
-COMPARED_S, BENDS = 0.7, 0.2
-# Focal lengths off the axis: what another camera sees farther aside is not looked for in this one's picture.
-MOST_ASIDE = 10.0
-# m: nobody is nearer.
-NEAREST = 0.5
-# Of the picture, on each side: whoever is foretold so far inside is surely inside; and scans that do not show it.
-BORDER, MISSED_SCANS = 0.12, 8
-# Scans that did not show it, of a track that ended meanwhile: a slow camera has no eight before that.
-ENDED_SCANS = 3
 TURNED, LOST_SIGHT = "turned", "lost sight"
-# A track that a camera shows with this probability at least may be what it detects, and with that one surely is seen.
-MAY_SEE, SURELY_SEES = 0.01, 0.95
-# px: outside every picture.
-FAR_PX = 1e6
-# Tracks of whom it is kept when they came; most have ended by then.
-MOST_REMEMBERED = 200
 
 
 class RigCamera(NamedTuple):
@@ -252,10 +238,10 @@ class Rig:
             home = self._homes.get(track_id)
             if home is None or home.camera == camera:
                 self._homes[track_id] = _Home(camera, t)
-            elif t - home.t > SETTLED_S:
+            elif t - home.t > CAMERA_SETTLED_S:
                 self.handed_over += 1
                 self._homes[track_id] = _Home(camera, t)
-        if len(self._homes) > MOST_REMEMBERED:
+        if len(self._homes) > MOST_REMEMBERED_TRACKS:
             held = {id for each in self._cameras for id in each.tracker.estimates[0].tolist()}
             self._homes = {id: home for id, home in self._homes.items() if id in held}
 
@@ -263,7 +249,7 @@ class Rig:
         """Who was with a camera that has died ends as one that it misses: else it would live for as long as the other
         cameras tell the time. A camera whose scan may still come tells that itself."""
         for each in self._cameras:
-            if each.tracker.t is not None and t - each.tracker.t > MOST_BACK:
+            if each.tracker.t is not None and t - each.tracker.t > TAKEOVER_LONGEST_BACK_S:
                 each.tracker.end_unseen(t)
 
     def _compare_looks(
@@ -285,9 +271,9 @@ class Rig:
             if len(looks) == 3 and _is_between(*looks):
                 self._compare(track_id, *looks)
                 looks.clear()
-        if len(self._looks) > MOST_REMEMBERED:
+        if len(self._looks) > MOST_REMEMBERED_TRACKS:
             self._looks = {
-                id: seen for id, seen in self._looks.items() if seen and t - seen[-1].t < COMPARED_S
+                id: seen for id, seen in self._looks.items() if seen and t - seen[-1].t < COMPARED_WITHIN_S
             }
 
     def _compare(self, track_id: int, before: _TrackLook, middle: _TrackLook, after: _TrackLook) -> None:
@@ -297,7 +283,7 @@ class Rig:
         share = (middle.t - before.t) / (after.t - before.t)
         (p, P), (m, M), (q, Q) = (self._seen_at(look, middle, second) for look in (before, middle, after))
         outer, noise = (1.0 - share) * p + share * q, (1.0 - share) ** 2 * P + share**2 * Q + M
-        bend = 0.5 * BENDS * share * (1.0 - share) * (after.t - before.t) ** 2
+        bend = 0.5 * COMPARED_BEND_RAD_S2 * share * (1.0 - share) * (after.t - before.t) ** 2
         noise += np.diag((bend * self._cameras[second].camera.per_radian(m[None]).reshape(2)) ** 2)
         if not (np.isfinite(outer).all() and np.isfinite(noise).all() and np.isfinite(m).all()):
             return
@@ -342,7 +328,12 @@ class Rig:
             last = other.tracker.t
             if self._apart & {giver, taker}:
                 continue
-            if taker != giver and last is not None and t - last < MOST_BACK and (since > last).any():
+            if (
+                taker != giver
+                and last is not None
+                and t - last < TAKEOVER_LONGEST_BACK_S
+                and (since > last).any()
+            ):
                 shown = self._shown_by(mean, cov, giver, taker, self._turn_to(taker, giver))
                 tracker.not_lost((since > last) & (shown.seen > 0.5))
 
@@ -369,7 +360,7 @@ class Rig:
         rows = {track_id: row for row, track_id in enumerate(ids.tolist())}
         for track_id in [id for id, way in self._arrived.items() if way.taker == camera and id not in rows]:
             way = self._arrived.pop(track_id)
-            if way.scans >= ENDED_SCANS:
+            if way.scans >= EXPECTED_ENDED_SCANS:
                 self._seam(way.giver, camera).lost += 1
         found = {}
         for track_id, way in self._arrived.items():
@@ -391,12 +382,12 @@ class Rig:
                 giver, pixel, cov, angle = foretold
                 self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker, by=angle)
         low, high = camera.frame_bounds
-        border = BORDER * (high - low)
+        border = EXPECTED_BORDER_SHARE * (high - low)
         for track_id, (giver, pixel, _, _) in self._foretold.items():
             way = self._arrived[track_id]
             (at,) = camera.framed(pixel[None]).at
             way.scans += bool(((at > low + border) & (at < high - border)).all())
-            if way.scans >= MISSED_SCANS:
+            if way.scans >= EXPECTED_MISSED_SCANS:
                 del self._arrived[track_id]
                 self._seam(giver, taker).lost += 1
         return frozenset(crossed)
@@ -438,7 +429,7 @@ class Rig:
         parts = []
         for giver, each in enumerate(self._cameras):
             then, since = self._orientations[giver], each.tracker.t
-            if then is None or since is None or since - t > MOST_BACK:
+            if then is None or since is None or since - t > TAKEOVER_LONGEST_BACK_S:
                 continue
             if giver != camera and self._apart & {giver, camera}:
                 continue
@@ -461,7 +452,7 @@ class Rig:
         variance = (part.sigma * scale) ** 2 + (self._seam(giver, taker).found.sigma * focal) ** 2
         sigma = np.sqrt(variance + by_cov.diagonal(axis1=1, axis2=2))
         near = ahead & (
-            np.abs(centre - [other.cx, other.cy]) < MOST_ASIDE * np.array([other.fx, other.fy])
+            np.abs(centre - [other.cx, other.cy]) < SEAM_MOST_ASIDE * np.array([other.fx, other.fy])
         ).all(axis=1)
         return ExpectedTracks((centre + by)[near], sigma[near], size[near])
 
@@ -498,7 +489,12 @@ class Rig:
         """What the giver knows and the taker should see, or is nearer to while neither sees it."""
         one, other = self._cameras[giver], self._cameras[taker]
         then, since = self._orientations[giver], one.tracker.t
-        if then is None or since is None or since - t > MOST_BACK or self._apart & {giver, taker}:
+        if (
+            then is None
+            or since is None
+            or since - t > TAKEOVER_LONGEST_BACK_S
+            or self._apart & {giver, taker}
+        ):
             return
         turn = rotation_between(then, orientation)
         own, seam = self._own(giver, turn.matrix), self._turn_to(taker, giver)
@@ -546,7 +542,7 @@ class Rig:
             shifted = -by_ray[0] @ by_place
         H = np.column_stack([flow, by, shifted])
         moved = by * (1.0 + known.s) + shifted @ known.shift
-        return moved, H @ known.cov @ H.T + LEAST_SHIFT_PX2 * np.eye(2)
+        return moved, H @ known.cov @ H.T + SEAM_LEAST_SHIFT_PX2 * np.eye(2)
 
     def _baseline(self, giver: int, taker: int) -> Array:
         """(3,) m: where the taker sits beside the giver, in its own axes."""
@@ -566,11 +562,13 @@ class Rig:
                 # Taken back before the other camera had seen it: it never was away.
                 self._came[track_id] = way.since
                 continue
-            if confirmed and t - since > SETTLED_S:
+            if confirmed and t - since > CAMERA_SETTLED_S:
                 self._arrived[track_id] = _Arrived(giver, taker, since, self._seam(giver, taker).angle)
             self._came[track_id] = t
-        if len(self._came) > MOST_REMEMBERED:
-            self._came = {track_id: came for track_id, came in self._came.items() if t - came < SETTLED_S}
+        if len(self._came) > MOST_REMEMBERED_TRACKS:
+            self._came = {
+                track_id: came for track_id, came in self._came.items() if t - came < CAMERA_SETTLED_S
+            }
 
     def _wanted(
         self, mean: Array, cov: Array, giver: int, taker: int, seam: Array
@@ -583,8 +581,10 @@ class Rig:
         shown = self._shown_by(mean, cov, giver, taker, seam)
         seen_here = probability_in_view(mean, cov, one)
         nearer = shown.closer & (seen_here < 0.5)
-        for_good = nearer | ((shown.seen > 0.5) & (shown.seen >= np.minimum(seen_here, SURELY_SEES)))
-        lent = shown.possible & ~for_good & (shown.seen > MAY_SEE)
+        for_good = nearer | (
+            (shown.seen > 0.5) & (shown.seen >= np.minimum(seen_here, SURELY_SEEN_PROBABILITY))
+        )
+        lent = shown.possible & ~for_good & (shown.seen > MAY_BE_SEEN_PROBABILITY)
         return np.asarray(lent | (shown.possible & for_good)), np.asarray(lent)
 
     def _shown_by(self, mean: Array, cov: Array, giver: int, taker: int, seam: Array) -> _Shown:
@@ -599,7 +599,7 @@ class Rig:
         by, by_cov = parallax(pixel, size, other, self._baseline(giver, taker))
         pixel = pixel + by
         moved, spread = np.zeros_like(mean), np.tile(np.eye(4), (len(mean), 1, 1))
-        moved[:, POSITION] = np.where(ahead[:, None], pixel, FAR_PX)
+        moved[:, POSITION] = np.where(ahead[:, None], pixel, OUTSIDE_EVERY_PICTURE_PX)
         here, beyond = one.per_radian(mean[:, POSITION]), other.per_radian(pixel)
         variance = (cov[:, 0, 0] / here[..., 0] ** 2 + cov[:, 2, 2] / here[..., 1] ** 2) / 2.0
         by_cov[ahead] += self._of_seam(pixel[ahead], giver, taker)
@@ -634,7 +634,7 @@ class _Lent(NamedTuple):
 def _is_between(before: _TrackLook, middle: _TrackLook, after: _TrackLook) -> bool:
     """Whether a detection of one camera lies between two of another one, soon after each other."""
     same = before.camera == after.camera != middle.camera
-    return same and before.t < middle.t < after.t < before.t + COMPARED_S
+    return same and before.t < middle.t < after.t < before.t + COMPARED_WITHIN_S
 
 
 def _restore(now: dict[int, Any], track_id: int, then: dict[int, Any]) -> None:
@@ -662,9 +662,11 @@ def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) 
     if not baseline.any():
         return np.zeros((n, 2)), np.zeros((n, 2, 2))
     ray = camera.bearing_undistorted(pixel)
-    distance = np.maximum(SPAN * camera.box_per_radian(pixel)[..., 0] / size[:, 0], NEAREST)
-    distance = np.where(np.isnan(distance), UNKNOWN_DISTANCE, distance)
+    distance = np.maximum(
+        SEAM_DRONE_SPAN_M * camera.box_per_radian(pixel)[..., 0] / size[:, 0], SEAM_NEAREST_M
+    )
+    distance = np.where(np.isnan(distance), SEAM_UNKNOWN_DISTANCE_M, distance)
     seen, _, ahead = camera.project_undistorted(distance[:, None] * ray - baseline)
     by = np.where(ahead[:, None], seen - pixel, 0.0)
     outer = by[:, :, None] * by[:, None, :]
-    return by, SPAN_SIGMA**2 * outer
+    return by, SEAM_DISTANCE_SIGMA**2 * outer

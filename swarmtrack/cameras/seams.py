@@ -27,31 +27,26 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.cameras.priors import (
+    COMPARISONS_PER_CROSSING,
+    SEAM_DISTANCE_SIGMA,
+    SEAM_LASTING_PX2,
+    SEAM_LEAST_SIGMA_RAD,
+    SEAM_LOST_PER_CROSSING,
+    SEAM_LOST_TARGETS,
+    SEAM_RESIDUAL_GATE,
+    SEAM_TURN_GATE,
+    SEAM_TURN_LEAST_CROSSINGS,
+    SEAM_TURN_LEAST_RAD,
+    STAY_ENDS_AFTER_S,
+    STAY_REACH_PX,
+)
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import optical_flow
 
-# rad: no seam is known better. What a crossing adds beside noise lasts as well: lenses, parallax, boxes off centre.
-LEAST_SIGMA = math.radians(0.15)
-# Squared Mahalanobis distance of a residual, in two dimensions: beyond it something else was detected.
-GATE = 16.0
-# A turn is news once so many crossings tell it, it is so large [rad], and by crossings alone is not zero by so many
-# squared sigmas.
-TELLING, WORTH_SAYING, SURE = 4, math.radians(0.5), 25.0
-# Cameras do not fit together once so many targets that left one did not come into the other, for each that did.
-LOST, LOST_FOR_EACH = 4, 4
-# px²: of a detection and of what was foretold, beside what they say of themselves.
-LASTING_PX2 = 1.0
-# Sigma of s, relative: a box tells a distance within a factor.
-PARALLAX_SIGMA = 0.5
-# s without a comparison, and px from where it began, after which a stay is over.
-STAY_ENDS_S, STAY_PX = 0.6, 60.0
-# Comparisons that are worth a crossing.
-COMPARED_FOR_EACH = 15
-# px²: a shift is known no better; boxes have edges of whole pixels.
-LEAST_SHIFT_PX2 = 0.1
-_OF_A_STAY = np.diag([1.0 / PARALLAX_SIGMA**2, 1.0 / LASTING_PX2, 1.0 / LASTING_PX2])
+_OF_A_STAY = np.diag([1.0 / SEAM_DISTANCE_SIGMA**2, 1.0 / SEAM_LASTING_PX2, 1.0 / SEAM_LASTING_PX2])
 
 
 class FoundTurn(NamedTuple):
@@ -118,7 +113,7 @@ class Seam:
 
     def __init__(self, second_from_first: Array, mounting_sigma: float) -> None:
         self._told = second_from_first
-        self._prior = np.eye(3) / max(mounting_sigma, LEAST_SIGMA) ** 2
+        self._prior = np.eye(3) / max(mounting_sigma, SEAM_LEAST_SIGMA_RAD) ** 2
         self._information = self._prior
         self._sum = np.zeros(3)
         self._stays: dict[int, _Stay] = {}
@@ -145,24 +140,28 @@ class Seam:
     @property
     def _told_by(self) -> int:
         """Crossings, and what is worth as many."""
-        return self.crossings + self.compared // COMPARED_FOR_EACH
+        return self.crossings + self.compared // COMPARISONS_PER_CROSSING
 
     @property
     def is_turned(self) -> bool:
         """Whether it is sure, and worth a word, that the second camera is turned beside what was told."""
         learned = self._of_all()[0] - self._prior
-        sure = float(self._angle @ learned @ self._angle) > SURE
-        return sure and self._told_by >= TELLING and float(np.linalg.norm(self._angle)) > WORTH_SAYING
+        sure = float(self._angle @ learned @ self._angle) > SEAM_TURN_GATE
+        return (
+            sure
+            and self._told_by >= SEAM_TURN_LEAST_CROSSINGS
+            and float(np.linalg.norm(self._angle)) > SEAM_TURN_LEAST_RAD
+        )
 
     @property
     def fits(self) -> bool:
         """Whether what leaves one camera comes into the other, as far as is known."""
-        return self.lost < max(LOST, LOST_FOR_EACH * self._told_by)
+        return self.lost < max(SEAM_LOST_TARGETS, SEAM_LOST_PER_CROSSING * self._told_by)
 
     def flow_cov(self, pixel: Array, camera: PinholeCamera, *, to_second: bool) -> Array:
         """(n, 2, 2) px² that the seam adds to tracks at pixels (n, 2) of the camera that they go to."""
         flow = self.flow(pixel, camera, to_second=to_second)
-        return np.asarray(flow @ (self._cov + LEAST_SIGMA**2 * np.eye(3)) @ flow.swapaxes(1, 2))
+        return np.asarray(flow @ (self._cov + SEAM_LEAST_SIGMA_RAD**2 * np.eye(3)) @ flow.swapaxes(1, 2))
 
     @property
     def angle(self) -> Array:
@@ -177,12 +176,12 @@ class Seam:
         flow = self.flow(foretold[None], camera, to_second=to_second)[0]
         value, axes = np.linalg.eigh(cov)
         # Of a difference of two covariances only the positive part is one.
-        S = (axes * np.maximum(value, 0.0)) @ axes.T + LASTING_PX2 * np.eye(2)
+        S = (axes * np.maximum(value, 0.0)) @ axes.T + SEAM_LASTING_PX2 * np.eye(2)
         # Others may have told of the angle since.
         residual = z - foretold
         surprise = residual - flow @ (self._angle - by)
         expected = S + flow @ self._cov @ flow.T
-        if float(surprise @ np.linalg.solve(expected, surprise)) > GATE:
+        if float(surprise @ np.linalg.solve(expected, surprise)) > SEAM_RESIDUAL_GATE:
             self.refused += 1
             return
         weighed = np.linalg.solve(S, flow)
@@ -195,7 +194,7 @@ class Seam:
         """What both cameras detected of a track's target; camera: the second one."""
         t, foretold, z, noise, by = compared
         stay = self._stays.get(track_id)
-        if stay is not None and float(np.linalg.norm(z - stay.pixel)) > STAY_PX:
+        if stay is not None and float(np.linalg.norm(z - stay.pixel)) > STAY_REACH_PX:
             self._end(track_id)
             stay = None
         flow = self.flow(foretold[None], camera, to_second=True)[0]
@@ -204,7 +203,7 @@ class Seam:
         known = self._disagreement(stay or _Stay(z, t))
         surprise = residual - by * known.s - known.shift
         expected = noise + H @ known.cov @ H.T
-        if float(surprise @ np.linalg.solve(expected, surprise)) > GATE:
+        if float(surprise @ np.linalg.solve(expected, surprise)) > SEAM_RESIDUAL_GATE:
             self.refused += 1
             return
         if stay is None:
@@ -219,11 +218,11 @@ class Seam:
     def disagreement(self, track_id: int, t: float) -> SeamDisagreement | None:
         """About the target of a track that stays where both pictures show it; None: it does not, or not yet."""
         stay = self._stays.get(track_id)
-        return None if stay is None or t - stay.t > STAY_ENDS_S else self._disagreement(stay)
+        return None if stay is None or t - stay.t > STAY_ENDS_AFTER_S else self._disagreement(stay)
 
     def end_stays(self, t: float) -> None:
         """Of the targets that were not compared for a while."""
-        for track_id in [id for id, stay in self._stays.items() if t - stay.t > STAY_ENDS_S]:
+        for track_id in [id for id, stay in self._stays.items() if t - stay.t > STAY_ENDS_AFTER_S]:
             self._end(track_id)
 
     def _end(self, track_id: int) -> None:

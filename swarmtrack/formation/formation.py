@@ -73,8 +73,9 @@ MOST_ASIDE_M, BACK_S = 12.0, 10.0
 # m: who seems to be beyond could not be seen.
 FARTHEST_M = 1e3
 
-# What a busy computer or link delays for a moment: only where it lasts so long [s] it costs the references their trust.
-LATE, LATE_S = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA), 0.5
+LATE_S = 0.5
+# What a busy computer or link delays for a moment: only where it lasts `LATE_S` it costs the references their trust.
+LATE = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA)
 
 # Where one of these holds it, what the autopilot says of its velocity is not how it flies.
 MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)

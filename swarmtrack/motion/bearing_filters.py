@@ -19,22 +19,23 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Scan
 from swarmtrack.motion.gyro import Orientation
-
-GATE = 16.0  # squared innovations over their variance, under whichever assumption suits best
-SCALE_STEP = 0.05  # of the gate's own scale, for each innovation
-AGILITIES = 430.0**2 * np.array([1e-4, 1e-3, 1e-2, 1e-1])  # rad²/s³ by rad² of a bearing's variance
-SPEED_SIGMA = 0.2  # rad/s of a target that is new
-ESTABLISHED = 3  # detections in a row, until then clutter is as likely
-MAX_LAPSE = 0.5  # s without a detection: the target is followed anew
-MAX_TURN_VARIANCE = 3e-3**2  # rad²: a gap in the gyro's samples, and nothing is known across it
-MAX_TARGETS = 8
-MAX_DETECTIONS = 24  # of a scan that are looked at
-LEAST_SCALE = 1e-9  # of the variances: a simulation without noise is no reason to divide by zero
+from swarmtrack.motion.priors import (
+    BEARING_AGILITIES,
+    BEARING_ESTABLISHED_HITS,
+    BEARING_GATE,
+    BEARING_GATE_SCALE_STEP,
+    BEARING_LEAST_SCALE,
+    BEARING_LONGEST_LAPSE_S,
+    BEARING_MAX_DETECTIONS,
+    BEARING_MAX_TARGETS,
+    BEARING_MAX_TURN_VARIANCE_RAD2,
+    BEARING_RATE_SIGMA_RAD_S,
+)
 
 
 def bearings_of(scan: Scan, camera: PinholeCamera) -> tuple[Array, Array]:
     """Unit vectors (m, 3), camera axes, of what a scan detected, and their variance (m,) rad² per axis."""
-    m = MAX_DETECTIONS
+    m = BEARING_MAX_DETECTIONS
     bearings = camera.bearing_undistorted(scan.z)
     variance = camera.chart.solid_angle(scan.z)
     if scan.R is not None:
@@ -47,7 +48,7 @@ def bearings_of(scan: Scan, camera: PinholeCamera) -> tuple[Array, Array]:
 def is_lapse(then: tuple[float, Orientation], now: tuple[float, Orientation]) -> bool:
     """Whether from one scan to the next, s and orientation of each, nothing can be followed."""
     turned = abs(now[1].variance - then[1].variance)
-    return now[0] - then[0] > MAX_LAPSE or turned > MAX_TURN_VARIANCE
+    return now[0] - then[0] > BEARING_LONGEST_LAPSE_S or turned > BEARING_MAX_TURN_VARIANCE_RAD2
 
 
 def likelihoods(cost: Array, log_det: Array, components: Array) -> tuple[Array, Array]:
@@ -55,7 +56,7 @@ def likelihoods(cost: Array, log_det: Array, components: Array) -> tuple[Array, 
     the sum of these variances' logarithms log_det (b, q), and their number components (b,): the log-likelihood (b, q,
     g) with the scale of all variances that suits best, and that scale (b, q, g)."""
     n = components[:, None, None]
-    scale = np.maximum(cost / n, LEAST_SCALE)
+    scale = np.maximum(cost / n, BEARING_LEAST_SCALE)
     return -0.5 * (n * np.log(scale) + log_det[:, :, None]), scale
 
 
@@ -68,17 +69,17 @@ class BearingFilters:
     """
 
     def __init__(self, assumptions: int) -> None:
-        self.mean = np.zeros((MAX_TARGETS, len(AGILITIES), 2, 3, assumptions))
-        self.cov = np.zeros((MAX_TARGETS, len(AGILITIES), 3))
-        self._psd = np.zeros((MAX_TARGETS, len(AGILITIES)))
+        self.mean = np.zeros((BEARING_MAX_TARGETS, len(BEARING_AGILITIES), 2, 3, assumptions))
+        self.cov = np.zeros((BEARING_MAX_TARGETS, len(BEARING_AGILITIES), 3))
+        self._psd = np.zeros((BEARING_MAX_TARGETS, len(BEARING_AGILITIES)))
         self._gate_scale = 1.0
         self.restart()
 
     def restart(self) -> None:
         """Nobody is followed any longer."""
-        self.hits = np.zeros(MAX_TARGETS, dtype=int)
+        self.hits = np.zeros(BEARING_MAX_TARGETS, dtype=int)
         self.slots = np.flatnonzero(self.hits)
-        self._seen = np.zeros(MAX_TARGETS)
+        self._seen = np.zeros(BEARING_MAX_TARGETS)
         self._t = 0.0
 
     def follow(
@@ -112,7 +113,7 @@ class BearingFilters:
         """From squared innovations over their variance (k,), under the assumption that suits each best. Steps towards
         the median find it even from where most fall outside the gate."""
         above = float(np.sign(distance - 2.0 * math.log(2.0) * self._gate_scale).sum())
-        self._gate_scale *= math.exp(SCALE_STEP * above)
+        self._gate_scale *= math.exp(BEARING_GATE_SCALE_STEP * above)
 
     def _near(
         self, turned: Array, variance: Array, agility: int, likely: NDArray[np.bool_]
@@ -121,13 +122,13 @@ class BearingFilters:
         prior = self.mean[self.slots, agility, 0][..., likely]
         e = turned[None, :, :, likely] - prior[:, None]
         S = self.cov[self.slots, agility, 0][:, None] + variance
-        inside: NDArray[np.bool_] = (e * e).sum(axis=2).min(axis=2) < GATE * self._gate_scale * S
+        inside: NDArray[np.bool_] = (e * e).sum(axis=2).min(axis=2) < BEARING_GATE * self._gate_scale * S
         return inside
 
     def predict(self, t: float) -> None:
         """Carry all on to t; who was not seen for too long is gone."""
         dt, self._t = t - self._t, t
-        self.hits[t - self._seen > MAX_LAPSE] = 0
+        self.hits[t - self._seen > BEARING_LONGEST_LAPSE_S] = 0
         slots = self.slots = np.flatnonzero(self.hits)
         self.mean[slots, :, 0] += dt * self.mean[slots, :, 1]
         p, c, v = self.cov[slots].transpose(2, 0, 1)
@@ -150,7 +151,7 @@ class BearingFilters:
     def leave_out(self, missing: NDArray[np.bool_]) -> None:
         """missing (n,): which of the targets have no detection in their gate; one that is new must have."""
         missed = self.slots[missing]
-        self.hits[missed[self.hits[missed] < ESTABLISHED]] = 0
+        self.hits[missed[self.hits[missed] < BEARING_ESTABLISHED_HITS]] = 0
 
     def begin(self, turned: Array, variance: Array) -> None:
         """New targets at bearings turned (n, 3, g), as many as there is room for."""
@@ -159,7 +160,7 @@ class BearingFilters:
         self.mean[slots, :, 0] = turned[:, None]
         self.mean[slots, :, 1] = 0.0
         self.cov[slots] = np.array([1.0, 0.0, 0.0]) * variance[:, None, None]
-        self.cov[slots, :, 2] = SPEED_SIGMA**2
-        self._psd[slots] = AGILITIES * variance[:, None]
+        self.cov[slots, :, 2] = BEARING_RATE_SIGMA_RAD_S**2
+        self._psd[slots] = BEARING_AGILITIES * variance[:, None]
         self.hits[slots] = 1
         self._seen[slots] = self._t

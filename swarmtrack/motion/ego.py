@@ -13,17 +13,18 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, EgoPose, FlightState, MotionReport
 from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
 from swarmtrack.motion.leap import has_leapt
-
-SPEED_OVER = 0.3  # s: of poses, that tell a velocity
-POSITION_JITTER = 0.02  # m: of an autopilot's position, from one pose to the next
-SPEED_SIGMA = 1.0  # m/s: how fast a drone may be moving where no pose says so
-ACCELERATION_SIGMA = 1.0  # m/s², of a drone whose velocity was known a moment ago
-RATE_SIGMA = 0.5  # rad/s, likewise
-# m: of a drone that hovers where it was put, by an autopilot that knows no position
-HELD_POSITION_SIGMA = 0.3
-LEVEL_SIGMA = 0.05  # rad: how far a hovering drone tilts
-# An estimator that finds its heading, or finds it anew, jumps; a drone turns no faster than this.
-YAW_JUMP, FASTEST_YAW, YAW_STEP = 0.2, 4.0, 0.5  # rad, rad/s, s between two poses that are compared
+from swarmtrack.motion.priors import (
+    EGO_ACCELERATION_SIGMA_M_S2,
+    EGO_POSITION_JITTER_M,
+    EGO_SPEED_SIGMA_M_S,
+    EGO_TURN_RATE_SIGMA_RAD_S,
+    EGO_VELOCITY_SPAN_S,
+    FASTEST_YAW_RATE_RAD_S,
+    HOVER_POSITION_SIGMA_M,
+    HOVER_TILT_SIGMA_RAD,
+    YAW_COMPARED_WITHIN_S,
+    YAW_JUMP_RAD,
+)
 
 _EYE = np.eye(3)
 _EYE.setflags(write=False)
@@ -195,7 +196,7 @@ class EgoHistory:
         """By t the estimator's heading has stepped by so much [rad], and the drone has not: where the team frame was
         connected by a measured heading, it stays where it was. A jump that was seen here counts once."""
         self.heading.step(t)
-        if self.start is not None and t - self._jumped_at > YAW_STEP:
+        if self.start is not None and t - self._jumped_at > YAW_COMPARED_WITHIN_S:
             self._turn_along(step)
 
     def at(self, t: float) -> TeamPose | None:
@@ -203,7 +204,7 @@ class EgoHistory:
         if not self._poses:
             if self.start is None:
                 return None
-            held, level = HELD_POSITION_SIGMA**2 * np.eye(3), LEVEL_SIGMA**2 * np.eye(3)
+            held, level = HOVER_POSITION_SIGMA_M**2 * np.eye(3), HOVER_TILT_SIGMA_RAD**2 * np.eye(3)
             return TeamPose(t, self.start.position, self.start.rotation, held, level)
         newest = self._poses[-1]
         # Who publishes asks for now: that is past the newest pose, and asked for most often.
@@ -215,8 +216,8 @@ class EgoHistory:
                 t,
                 nearest.position,
                 nearest.world_from_body,
-                nearest.position_cov + (SPEED_SIGMA * age) ** 2 * _EYE,
-                nearest.attitude_cov + (RATE_SIGMA * age) ** 2 * _EYE,
+                nearest.position_cov + (EGO_SPEED_SIGMA_M_S * age) ** 2 * _EYE,
+                nearest.attitude_cov + (EGO_TURN_RATE_SIGMA_RAD_S * age) ** 2 * _EYE,
             )
         before, after = self._poses[k - 1], self._poses[k]
         fraction = (t - before.t) / (after.t - before.t) if after.t > before.t else 1.0
@@ -241,12 +242,12 @@ class EgoHistory:
     def moved(self, drone_id: int, boot: str, sequence: int) -> MotionReport | None:
         """How this drone moves, and how far it is from where it was first known to be; None where nobody knows.
 
-        As of the middle of the last `SPEED_OVER` of poses: their difference is the velocity of that time.
+        As of the middle of the last `EGO_VELOCITY_SPAN_S` of poses: their difference is the velocity of that time.
         """
-        if self._placed is None or self._poses[-1].t - self._poses[0].t < SPEED_OVER:
+        if self._placed is None or self._poses[-1].t - self._poses[0].t < EGO_VELOCITY_SPAN_S:
             return None
         newest = self._poses[-1]
-        line = self._line(newest.t - SPEED_OVER, newest.t)
+        line = self._line(newest.t - EGO_VELOCITY_SPAN_S, newest.t)
         if line is None:
             return None
         t, place, velocity, velocity_cov = line
@@ -268,9 +269,9 @@ class EgoHistory:
         """How this drone itself moves at t: (3,) m/s in the team frame, and its covariance (3, 3)."""
         line = self._line_around(t)
         if line is None:
-            return np.zeros(3), SPEED_SIGMA**2 * np.eye(3)
+            return np.zeros(3), EGO_SPEED_SIGMA_M_S**2 * np.eye(3)
         middle, _, velocity, cov = line
-        return velocity, cov + (ACCELERATION_SIGMA * (t - middle)) ** 2 * np.eye(3)
+        return velocity, cov + (EGO_ACCELERATION_SIGMA_M_S2 * (t - middle)) ** 2 * np.eye(3)
 
     def flown_on(self, t: float) -> tuple[Array, Array, Array]:
         """What came after the newest pose: the way from there to t, straight on (3,) m; and `velocity` at t. No way
@@ -281,13 +282,15 @@ class EgoHistory:
         if self._newest_velocity is None:
             self._newest_velocity = self.velocity(self._poses[-1].t)
         velocity, cov = self._newest_velocity
-        return ahead * velocity, velocity, cov + (ACCELERATION_SIGMA * ahead) ** 2 * _EYE
+        return ahead * velocity, velocity, cov + (EGO_ACCELERATION_SIGMA_M_S2 * ahead) ** 2 * _EYE
 
     def _line_around(self, t: float) -> tuple[float, Array, Array, Array] | None:
         """`_line` of the poses on both sides of t, or of those before it; None where no place was ever known."""
         if self._placed is None:
             return None
-        return self._line(t - 0.5 * SPEED_OVER, t + 0.5 * SPEED_OVER) or self._line(t - SPEED_OVER, t)
+        return self._line(t - 0.5 * EGO_VELOCITY_SPAN_S, t + 0.5 * EGO_VELOCITY_SPAN_S) or self._line(
+            t - EGO_VELOCITY_SPAN_S, t
+        )
 
     def _line(self, begin: float, end: float) -> tuple[float, Array, Array, Array] | None:
         """A straight line through the poses of that time: its middle [s] and place there, its slope (3,) m/s and the
@@ -307,7 +310,7 @@ class EgoHistory:
         if spread <= 0.0:
             return None
         slope = off @ places / spread
-        return middle, places.sum(axis=0) / len(times), slope, POSITION_JITTER**2 / spread * _EYE
+        return middle, places.sum(axis=0) / len(times), slope, EGO_POSITION_JITTER_M**2 / spread * _EYE
 
     def _place(self, pose: EgoPose) -> tuple[Array, Array] | None:
         """Position in the team frame and its covariance (3, 3); None where nobody can tell."""
@@ -317,10 +320,10 @@ class EgoHistory:
             if last is None:
                 return None
             if self._placed is None:
-                return last, HELD_POSITION_SIGMA**2 * np.eye(3)
+                return last, HOVER_POSITION_SIGMA_M**2 * np.eye(3)
             # It was known and is no more: the drone may have moved on.
             age = abs(pose.t - self._placed.t)
-            return last, self._placed.position_cov + (SPEED_SIGMA * age) ** 2 * np.eye(3)
+            return last, self._placed.position_cov + (EGO_SPEED_SIGMA_M_S * age) ** 2 * np.eye(3)
         assert self._turn is not None
         if self._shift is None:
             self._shift = self.origin if last is None else last - self._turn @ pose.position
@@ -347,9 +350,9 @@ class EgoHistory:
         if last is None or (self.absolute and self.heading.is_on_ground):
             return None
         dt = t - last.t
-        if not 0.0 < dt <= SPEED_OVER or not has_leapt(last.position, position, dt):
+        if not 0.0 < dt <= EGO_VELOCITY_SPAN_S or not has_leapt(last.position, position, dt):
             return None
-        line = self._line(last.t - SPEED_OVER, last.t)
+        line = self._line(last.t - EGO_VELOCITY_SPAN_S, last.t)
         if line is None:
             return None
         expected = last.position + dt * line[2]
@@ -366,7 +369,7 @@ class EgoHistory:
             t, before = self._yaw
             jump = math.remainder(yaw - before, 2.0 * math.pi)
             dt = abs(pose.t - t)
-            if dt < YAW_STEP and abs(jump) > YAW_JUMP + FASTEST_YAW * dt:
+            if dt < YAW_COMPARED_WITHIN_S and abs(jump) > YAW_JUMP_RAD + FASTEST_YAW_RATE_RAD_S * dt:
                 self._turn_along(jump)
                 self._jumped_at = pose.t
                 self.heading_jumps += 1

@@ -1,7 +1,7 @@
 """Scans wait for the gyro, so that what becomes of them does not depend on who arrived first.
 
 A scan is tracked at its exposure, with the camera's turn up to that instant. The gyro's sample that brackets it may
-arrive a few milliseconds after the scan does. It is waited for, but no longer than `MAX_WAIT`.
+arrive a few milliseconds after the scan does. It is waited for, but no longer than `GYRO_WAIT_S`.
 """
 
 from __future__ import annotations
@@ -11,10 +11,8 @@ from collections.abc import Sequence
 
 from swarmtrack.messages import Detections
 from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.motion.priors import GYRO_WAIT_S
 from swarmtrack.motion.time_offset import CameraClock
-
-# s: a gyro that is silent for longer is not waited for.
-MAX_WAIT = 0.05
 
 
 class WaitingScans:
@@ -42,8 +40,8 @@ class WaitingScans:
         queue = min(queues, key=_Queue.exposure)
         exposure = queue.exposure()
         newest = self._gyro.newest
-        gyro_is_silent = newest is None or newest < exposure - MAX_WAIT
-        gave_up = now is not None and now > exposure + MAX_WAIT
+        gyro_is_silent = newest is None or newest < exposure - GYRO_WAIT_S
+        gave_up = now is not None and now > exposure + GYRO_WAIT_S
         if newest is not None and newest < exposure and not (gyro_is_silent or gave_up):
             return None
         return queue.pop(), exposure

@@ -20,14 +20,10 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.messages import Array
+from swarmtrack.motion.priors import GYRO_GAP_STEPS, UNKNOWN_ANGLE_VARIANCE_RAD2
 
 Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
-
-# A step longer than this many usual steps is a gap. An autopilot that rounds 333 Hz to whole milliseconds alternates
-# between 2.5 and 5 ms (1.7 usual steps) without losing anything; one lost sample is 2.
-GAP_STEPS = 1.9
-RESTART_VARIANCE = math.pi**2 / 3  # rad²: nothing is known of an angle (uniform over a turn)
 
 
 class Orientation(NamedTuple):
@@ -200,14 +196,14 @@ class GyroHistory:
 
     def _count_gap(self, dt: float) -> None:
         usual = self._usual_step or dt
-        self.gaps += dt > GAP_STEPS * usual
+        self.gaps += dt > GYRO_GAP_STEPS * usual
         # Follows by small bounded steps, so that neither a gap nor a duplicate moves it much.
         self._usual_step = usual + 0.05 * (min(max(dt, 0.5 * usual), 1.5 * usual) - usual)
 
     def _restart(self) -> None:
         """The stamps jumped back by more than the history: what lies between then and now is unknown."""
         last = self._orientations[-1]
-        self._orientations = [last._replace(variance=last.variance + RESTART_VARIANCE)]
+        self._orientations = [last._replace(variance=last.variance + UNKNOWN_ANGLE_VARIANCE_RAD2)]
         self._times, self._rates = [], []
         self.restarts += 1
 

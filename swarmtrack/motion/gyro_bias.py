@@ -19,15 +19,16 @@ import numpy as np
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
 from swarmtrack.motion.gyro import GyroHistory, Orientation, rotation_between
-
-EVERY = 0.2  # s between attitudes that are used
-LASTS = 1.0  # s: how long an attitude's error lasts
-PRIOR_SIGMA = 0.05  # rad/s: of a gyro that nobody calibrated since it warmed up
-WALK = 1e-4  # rad/s/√s: how fast a bias changes as the board warms up
-LEAST_SIGMA = 1e-3  # rad: no autopilot's attitude is better, whatever it says
-GATE = 3 * 16.0  # squared residuals over their variance, three axes
-JUMPED = 5  # attitudes in a row outside the gate
-SURE = 1e-3  # rad/s, one sigma: a bias that is known so well is taken off
+from swarmtrack.motion.priors import (
+    BIAS_ATTITUDE_ERROR_LASTS_S,
+    BIAS_ATTITUDE_LEAST_SIGMA_RAD,
+    BIAS_ATTITUDE_PERIOD_S,
+    BIAS_JUMP_ATTITUDES,
+    BIAS_PRIOR_SIGMA_RAD_S,
+    BIAS_RANDOM_WALK_RAD_S_SQRT_S,
+    BIAS_RESIDUAL_GATE,
+    BIAS_USED_SIGMA_RAD_S,
+)
 
 
 class BiasEstimate(NamedTuple):
@@ -57,14 +58,14 @@ class GyroBias:
         self._last: tuple[float, Orientation] | None = None
         self._world_from_camera = np.eye(3)
         # Variance of the orientation's error, their covariance, variance of the bias.
-        self._p, self._c, self._v = 0.0, 0.0, PRIOR_SIGMA**2
+        self._p, self._c, self._v = 0.0, 0.0, BIAS_PRIOR_SIGMA_RAD_S**2
         self._outside = 0
 
     @property
     def found(self) -> BiasEstimate | None:
         """What the flight so far says; None before it says more than anybody would guess."""
         sigma = math.sqrt(self._v)
-        return BiasEstimate(self._bias, sigma) if sigma < 0.5 * PRIOR_SIGMA else None
+        return BiasEstimate(self._bias, sigma) if sigma < 0.5 * BIAS_PRIOR_SIGMA_RAD_S else None
 
     @property
     def counters(self) -> dict[str, int]:
@@ -75,13 +76,13 @@ class GyroBias:
         """The autopilot's attitude at t: world_from_camera (3, 3), its sigma [rad] per axis."""
         if not self._estimates:
             return
-        if self._last is not None and t < self._last[0] + EVERY:
+        if self._last is not None and t < self._last[0] + BIAS_ATTITUDE_PERIOD_S:
             if t > self._last[0] - self._gyro.history_s:
                 return
             self._last = None  # the stamps jumped back
         # Whatever the gyro does not reach, because its stamps jumped or it fell silent, must not wait for ever.
-        if self._pending is None or abs(t - self._pending[0]) > EVERY:
-            self._pending = (t, world_from_camera, max(sigma, LEAST_SIGMA))
+        if self._pending is None or abs(t - self._pending[0]) > BIAS_ATTITUDE_PERIOD_S:
+            self._pending = (t, world_from_camera, max(sigma, BIAS_ATTITUDE_LEAST_SIGMA_RAD))
             self.settle()
 
     def settle(self) -> None:
@@ -98,8 +99,10 @@ class GyroBias:
             self._look_along(attitude, sigma)
         else:
             self._predict(before, t, orientation)
-            self._correct(attitude, sigma * math.sqrt(max(1.0, LASTS / (t - before[0]))))
-        if self._v < SURE**2:
+            self._correct(
+                attitude, sigma * math.sqrt(max(1.0, BIAS_ATTITUDE_ERROR_LASTS_S / (t - before[0])))
+            )
+        if self._v < BIAS_USED_SIGMA_RAD_S**2:
             x, y, z = self._bias.tolist()
             self._gyro.bias = (x, y, z)
 
@@ -111,15 +114,15 @@ class GyroBias:
         self._world_from_camera = self._world_from_camera @ turn.matrix @ rotation.exp(left * dt)
         self._p += turn.variance - 2.0 * dt * self._c + dt * dt * self._v
         self._c -= dt * self._v
-        self._v += WALK**2 * dt
+        self._v += BIAS_RANDOM_WALK_RAD_S_SQRT_S**2 * dt
 
     def _correct(self, attitude: Array, sigma: float) -> None:
         residual = rotation.log(self._world_from_camera.T @ attitude)
         S = self._p + sigma**2
-        if residual @ residual > GATE * S:
+        if residual @ residual > BIAS_RESIDUAL_GATE * S:
             self.refused += 1
             self._outside += 1
-            if self._outside >= JUMPED:
+            if self._outside >= BIAS_JUMP_ATTITUDES:
                 self._look_along(attitude, sigma)
             return
         self._outside = 0

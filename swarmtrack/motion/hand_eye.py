@@ -20,16 +20,18 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
-
-REACH = 0.3  # s to either side that are searched
-COARSE_STEP, STEP = 0.02, 0.005  # s of the search's two grids: rotations by hand stay below 5 Hz
-SLOPE_STEP = 0.005  # s over which the slope by the offset is taken: less lets the gyro's noise in
-ITERATIONS = 12
-CAUCHY = 2.385  # of the weights: 95 % efficient for normal noise
-BLOCK = 1.0  # s whose errors go together
-DRAWS = 300  # of the blocks
-LEAST_TURNS = 20
-LEAST_SCALE = 1e-9  # rad: a simulation without noise is no reason to divide by zero
+from swarmtrack.motion.priors import (
+    HAND_EYE_BLOCK_DRAWS,
+    HAND_EYE_BLOCK_S,
+    HAND_EYE_CAUCHY,
+    HAND_EYE_COARSE_STEP_S,
+    HAND_EYE_FINE_STEP_S,
+    HAND_EYE_ITERATIONS,
+    HAND_EYE_LEAST_SCALE_RAD,
+    HAND_EYE_LEAST_TURNS,
+    HAND_EYE_REACH_S,
+    HAND_EYE_SLOPE_STEP_S,
+)
 
 
 class Turns(NamedTuple):
@@ -115,27 +117,35 @@ class GyroTurns:
 
     def covered(self, turns: Turns, reach: float) -> Turns:
         """Those turns that lie within the samples at every offset up to `reach` s."""
-        margin = reach + 2 * SLOPE_STEP
+        margin = reach + 2 * HAND_EYE_SLOPE_STEP_S
         inside = (turns.start - margin > self.first) & (turns.end + margin < self.last)
         return Turns(turns.start[inside], turns.end[inside], turns.vector[inside])
 
 
-def solve(turns: Turns, gyro: GyroTurns, *, reach: float = REACH, centre: float = 0.0) -> HandEye | None:
+def solve(
+    turns: Turns, gyro: GyroTurns, *, reach: float = HAND_EYE_REACH_S, centre: float = 0.0
+) -> HandEye | None:
     """Mounting, offset and bias; None with too few turns to say anything. centre ± reach [s]: offsets searched."""
     turns = _shifted(gyro.covered(_shifted(turns, centre), reach), -centre)
-    if len(turns.start) < LEAST_TURNS:
+    if len(turns.start) < HAND_EYE_LEAST_TURNS:
         return None
     offset, at_edge = _search(turns, gyro, reach, centre, mirrored=False)
     dt = turns.end - turns.start
     psi = gyro.between(turns.start + offset, turns.end + offset)
     C, bias = _kabsch(turns.vector - turns.vector.mean(axis=0), psi - psi.mean(axis=0)), np.zeros(3)
     weight = np.ones(len(dt))
-    for _ in range(ITERATIONS):
+    for _ in range(HAND_EYE_ITERATIONS):
         rest, J, psi = _linearised(turns, gyro, C, offset, bias)
         weight, scale = _weights(rest)
         step = _solved(*_normal(rest, J, weight))
         C, bias = rotation.exp(step[:3]) @ C, bias + step[4:]
-        offset = float(np.clip(offset + np.clip(step[3], -STEP, STEP), centre - reach, centre + reach))
+        offset = float(
+            np.clip(
+                offset + np.clip(step[3], -HAND_EYE_FINE_STEP_S, HAND_EYE_FINE_STEP_S),
+                centre - reach,
+                centre + reach,
+            )
+        )
     rest, J, psi = _linearised(turns, gyro, C, offset, bias)
     weight, scale = _weights(rest)
     sigmas = _bootstrapped(turns, rest, J, weight)
@@ -157,11 +167,16 @@ def solve(turns: Turns, gyro: GyroTurns, *, reach: float = REACH, centre: float 
 
 
 def compare(
-    turns: Turns, gyro: GyroTurns, camera_from_body: Array, *, reach: float = REACH, centre: float = 0.0
+    turns: Turns,
+    gyro: GyroTurns,
+    camera_from_body: Array,
+    *,
+    reach: float = HAND_EYE_REACH_S,
+    centre: float = 0.0,
 ) -> Agreement | None:
     """Image against gyro for a mounting that is said to be known; None with too few turns."""
     turns = _shifted(gyro.covered(_shifted(turns, centre), reach), -centre)
-    if len(turns.start) < LEAST_TURNS:
+    if len(turns.start) < HAND_EYE_LEAST_TURNS:
         return None
     # The offset must be found with wrong signs, too: a mirrored gyro keeps step just as well.
     offset, _ = _search(turns, gyro, reach, centre, mirrored=True)
@@ -203,17 +218,19 @@ def _search(
             s = s * np.array([1.0, 1.0, -1.0])
         return float((psi * psi).sum()) - 2.0 * float(s.sum())
 
-    coarse = centre + np.linspace(-reach, reach, 2 * math.ceil(reach / COARSE_STEP) + 1)
+    coarse = centre + np.linspace(-reach, reach, 2 * math.ceil(reach / HAND_EYE_COARSE_STEP_S) + 1)
     costs = np.array([cost(offset) for offset in coarse])
     best = int(costs.argmin())
     if not 0 < best < len(coarse) - 1:
         return float(coarse[best]), True
-    grid = np.arange(coarse[best - 1], coarse[best + 1] + 0.5 * STEP, STEP)
+    grid = np.arange(coarse[best - 1], coarse[best + 1] + 0.5 * HAND_EYE_FINE_STEP_S, HAND_EYE_FINE_STEP_S)
     costs = np.array([cost(offset) for offset in grid])
     best = min(max(int(costs.argmin()), 1), len(grid) - 2)
     below, least, above = costs[best - 1 : best + 2]
     bend = below - 2.0 * least + above
-    return float(grid[best] + (0.5 * STEP * (below - above) / bend if bend > 0.0 else 0.0)), False
+    return float(
+        grid[best] + (0.5 * HAND_EYE_FINE_STEP_S * (below - above) / bend if bend > 0.0 else 0.0)
+    ), False
 
 
 def _kabsch(phi: Array, psi: Array) -> Array:
@@ -229,12 +246,16 @@ def _linearised(
     """What is left (n, 3), its slope (n, 3, 7) by rotation, offset and bias (to be explained by a step), and ψ."""
     dt = turns.end - turns.start
     psi = gyro.between(turns.start + offset, turns.end + offset)
-    later = gyro.between(turns.start + offset + SLOPE_STEP, turns.end + offset + SLOPE_STEP)
-    earlier = gyro.between(turns.start + offset - SLOPE_STEP, turns.end + offset - SLOPE_STEP)
+    later = gyro.between(
+        turns.start + offset + HAND_EYE_SLOPE_STEP_S, turns.end + offset + HAND_EYE_SLOPE_STEP_S
+    )
+    earlier = gyro.between(
+        turns.start + offset - HAND_EYE_SLOPE_STEP_S, turns.end + offset - HAND_EYE_SLOPE_STEP_S
+    )
     told = (psi - bias * dt[:, None]) @ C.T
     J = np.empty((len(dt), 3, 7))
     J[:, :, :3] = -rotation.hat(told)
-    J[:, :, 3] = (later - earlier) @ C.T / (2.0 * SLOPE_STEP)
+    J[:, :, 3] = (later - earlier) @ C.T / (2.0 * HAND_EYE_SLOPE_STEP_S)
     J[:, :, 4:] = -C * dt[:, None, None]
     return turns.vector - told, J, psi
 
@@ -242,8 +263,8 @@ def _linearised(
 def _weights(rest: Array) -> tuple[Array, float]:
     """Weights (n,) of the turns, and the scale of what is left [rad per axis]."""
     size = np.sqrt((rest * rest).mean(axis=1))
-    scale = max(float(np.median(size)) / 0.888, LEAST_SCALE)  # the median of sqrt(χ²₃ / 3)
-    weight: Array = 1.0 / (1.0 + (size / (CAUCHY * scale)) ** 2)
+    scale = max(float(np.median(size)) / 0.888, HAND_EYE_LEAST_SCALE_RAD)  # the median of sqrt(χ²₃ / 3)
+    weight: Array = 1.0 / (1.0 + (size / (HAND_EYE_CAUCHY * scale)) ** 2)
     return weight, scale
 
 
@@ -260,14 +281,14 @@ def _solved(H: Array, g: Array) -> Array:
 
 def _bootstrapped(turns: Turns, rest: Array, J: Array, weight: Array) -> Array:
     """Standard deviations (7,) of rotation, offset and bias."""
-    block = ((turns.start - turns.start[0]) // BLOCK).astype(int)
+    block = ((turns.start - turns.start[0]) // HAND_EYE_BLOCK_S).astype(int)
     _, block = np.unique(block, return_inverse=True)
     count = int(block.max()) + 1
     H, g = np.zeros((count, 7, 7)), np.zeros((count, 7))
     np.add.at(H, block, np.einsum("n,nij,nik->njk", weight, J, J))
     np.add.at(g, block, np.einsum("n,nij,ni->nj", weight, J, rest))
     rng = np.random.default_rng(0)  # a measure of spread, the same for the same turns
-    drawn = rng.integers(0, count, (DRAWS, count))
+    drawn = rng.integers(0, count, (HAND_EYE_BLOCK_DRAWS, count))
     ridge = 1e-12 * np.trace(H.sum(axis=0)) * np.eye(7)
     steps = np.linalg.solve(H[drawn].sum(axis=1) + ridge, g[drawn].sum(axis=1)[:, :, None])[:, :, 0]
     sigmas: Array = steps.std(axis=0) * np.sqrt(count / max(count - 1.0, 1.0))

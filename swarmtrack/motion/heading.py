@@ -7,8 +7,9 @@ standard deviation is a state of knowledge, and `HeadingKnowledge` keeps it: one
 once it is aligned.
 
 The alignment is a step: from one attitude to the next the heading changes by some degrees while the gyro says that the
-drone did not turn. `HeadingSteps` looks for these. Where the heading was right already there is none, so `ALIGNED_S`
-after take-off it counts as aligned without. Everything here is a function of stamps, so a replay finds the same.
+drone did not turn. `HeadingSteps` looks for these. Where the heading was right already there is none, so
+`HEADING_ALIGNED_AFTER_S` after take-off it counts as aligned without. Everything here is a function of stamps, so a
+replay finds the same.
 """
 
 from __future__ import annotations
@@ -23,28 +24,19 @@ import numpy as np
 
 from swarmtrack.messages import Array, EgoPose, FlightState, HeadingNews
 from swarmtrack.motion.gyro import GyroHistory, Orientation, Vector, rotation_between
-
-# s after take-off: by then the autopilot has aligned its heading in flight.
-ALIGNED_S = 20.0
-# From where a drone was first, in m and in standard deviations of its position: that far off it flies, where its
-# autopilot does not say so.
-LEFT_M, LEFT_SIGMAS = 2.0, 5.0
-# rad: a smaller step is no news, the compass alone brings as much.
-STEP = math.radians(1.0)
-# Attitudes before and after a step, whose means are compared.
-MEAN_OF = 5
-# s: an attitude may be so much older or younger than its stamp, by filters and by the clock.
-LAG = 0.03
-# rad/s: what a gyro may read at rest before its bias is known.
-BIAS = 0.02
-# Of the angle turned: the gyro's error of scale.
-SCALE = 0.02
-# Standard deviations of a mean's error that are no step.
-SIGMAS = 4.0
-# s between two attitudes, at most; a step within a longer gap cannot be told from a turn.
-LONGEST_GAP = 0.5
-# s between two pieces of news: each costs the team an announcement.
-NEWS_EVERY = 10.0
+from swarmtrack.motion.priors import (
+    HEADING_ALIGNED_AFTER_S,
+    HEADING_ATTITUDE_LAG_S,
+    HEADING_GYRO_BIAS_RAD_S,
+    HEADING_GYRO_SCALE_ERROR,
+    HEADING_LONGEST_GAP_S,
+    HEADING_NEWS_PERIOD_S,
+    HEADING_STEP_ATTITUDES,
+    HEADING_STEP_RAD,
+    HEADING_STEP_SIGMAS,
+    TAKE_OFF_DISTANCE_M,
+    TAKE_OFF_SIGMAS,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +66,7 @@ class HeadingKnowledge:
         """A pose of the autopilot. One that never says whether it flies does so when it has left its place."""
         if self._is_told or self._since is not None or pose.position is None:
             return
-        far = max(LEFT_M, LEFT_SIGMAS * max(pose.position_sigma, pose.vertical_sigma or 0.0))
+        far = max(TAKE_OFF_DISTANCE_M, TAKE_OFF_SIGMAS * max(pose.position_sigma, pose.vertical_sigma or 0.0))
         if self._first is None:
             self._first = pose.position
         elif float(np.linalg.norm(pose.position - self._first)) > far:
@@ -98,7 +90,7 @@ class HeadingKnowledge:
         if self._since is None:
             return False
         since = max(self._since, self._rebooted_at)
-        return t - since >= ALIGNED_S or self._stepped_at > since
+        return t - since >= HEADING_ALIGNED_AFTER_S or self._stepped_at > since
 
     def sigma(self, t: float) -> float:
         """Standard deviation of the heading at t [rad]."""
@@ -118,9 +110,9 @@ class _BesideGyro(NamedTuple):
 class HeadingSteps:
     """Compares headings with a gyro in the camera's axes. body_from_camera (3, 3).
 
-    A step is where the mean excess of `MEAN_OF` attitudes differs from that of as many before by more than `STEP`, than
-    their scatter explains, and than the gyro may err in between: by a time offset while the rate changes, by its bias,
-    and by its scale.
+    A step is where the mean excess of `HEADING_STEP_ATTITUDES` attitudes differs from that of as many before by more
+    than `HEADING_STEP_RAD`, than their scatter explains, and than the gyro may err in between: by a time offset while
+    the rate changes, by its bias, and by its scale.
     """
 
     def __init__(self, gyro: GyroHistory, body_from_camera: Array) -> None:
@@ -129,7 +121,7 @@ class HeadingSteps:
         self._body_from_camera = body_from_camera
         self._waiting: deque[tuple[float, Array]] = deque()
         self._last: tuple[float, Orientation, Array] | None = None
-        self._compared: deque[_BesideGyro] = deque(maxlen=2 * MEAN_OF)
+        self._compared: deque[_BesideGyro] = deque(maxlen=2 * HEADING_STEP_ATTITUDES)
 
     @property
     def counters(self) -> dict[str, int]:
@@ -154,7 +146,7 @@ class HeadingSteps:
             if step is not None:
                 self._compared.clear()
                 steps.append(step)
-        while self._waiting and self._waiting[-1][0] - self._waiting[0][0] > LONGEST_GAP:
+        while self._waiting and self._waiting[-1][0] - self._waiting[0][0] > HEADING_LONGEST_GAP_S:
             # Without a gyro there is nothing to compare with.
             self._waiting.popleft()
         self.found += len(steps)
@@ -163,7 +155,7 @@ class HeadingSteps:
     def _compare(self, t: float, world_from_body: Array) -> None:
         orientation, looks = self._gyro.orientation(t), world_from_body @ self._body_from_camera
         before, self._last = self._last, (t, orientation, looks)
-        if before is None or not 0.0 < t - before[0] < LONGEST_GAP:
+        if before is None or not 0.0 < t - before[0] < HEADING_LONGEST_GAP_S:
             self._compared.clear()
             return
         then, was, looked = before
@@ -181,24 +173,32 @@ class HeadingSteps:
         self._compared.append(_BesideGyro(t, sum_ + excess, rate, turned + math.hypot(*rate) * (t - then)))
 
     def _step(self) -> float | None:
-        if len(self._compared) < 2 * MEAN_OF:
+        if len(self._compared) < 2 * HEADING_STEP_ATTITUDES:
             return None
         excess = [one.excess for one in self._compared]
-        before, after = fmean(excess[:MEAN_OF]), fmean(excess[MEAN_OF:])
+        before, after = fmean(excess[:HEADING_STEP_ATTITUDES]), fmean(excess[HEADING_STEP_ATTITUDES:])
         step = after - before
-        if abs(step) <= STEP:
+        if abs(step) <= HEADING_STEP_RAD:
             return None
-        off = [e - before for e in excess[:MEAN_OF]] + [e - after for e in excess[MEAN_OF:]]
-        scatter = math.hypot(*off) / math.sqrt(2 * MEAN_OF - 2)
-        then, now = self._compared[MEAN_OF // 2], self._compared[MEAN_OF + MEAN_OF // 2]
-        explained = SIGMAS * scatter * math.sqrt(2.0 / MEAN_OF)
-        explained += LAG * math.dist(now.rate, then.rate)
-        explained += BIAS * (now.t - then.t) + SCALE * (now.turned - then.turned)
+        off = [e - before for e in excess[:HEADING_STEP_ATTITUDES]] + [
+            e - after for e in excess[HEADING_STEP_ATTITUDES:]
+        ]
+        scatter = math.hypot(*off) / math.sqrt(2 * HEADING_STEP_ATTITUDES - 2)
+        then, now = (
+            self._compared[HEADING_STEP_ATTITUDES // 2],
+            self._compared[HEADING_STEP_ATTITUDES + HEADING_STEP_ATTITUDES // 2],
+        )
+        explained = HEADING_STEP_SIGMAS * scatter * math.sqrt(2.0 / HEADING_STEP_ATTITUDES)
+        explained += HEADING_ATTITUDE_LAG_S * math.dist(now.rate, then.rate)
+        explained += HEADING_GYRO_BIAS_RAD_S * (now.t - then.t) + HEADING_GYRO_SCALE_ERROR * (
+            now.turned - then.turned
+        )
         return step if abs(step) > explained else None
 
 
 class HeadingBulletin:
-    """What of the own heading is news to the team, at most every `NEWS_EVERY` seconds: what comes sooner waits."""
+    """What of the own heading is news to the team, at most every `HEADING_NEWS_PERIOD_S` seconds: what comes sooner
+    waits."""
 
     def __init__(self) -> None:
         self._waiting: HeadingNews | None = None
@@ -213,7 +213,7 @@ class HeadingBulletin:
         if is_aligned and self._was_aligned is False and self._waiting is None:
             self._waiting = HeadingNews(t, 0.0)
         self._was_aligned = is_aligned
-        if self._waiting is None or t - self._told_at < NEWS_EVERY:
+        if self._waiting is None or t - self._told_at < HEADING_NEWS_PERIOD_S:
             return None
         self._told_at = t
         news, self._waiting = self._waiting, None

@@ -37,42 +37,39 @@ import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Scan
-from swarmtrack.motion.bearing_filters import (
-    AGILITIES,
-    ESTABLISHED,
-    BearingFilters,
-    bearings_of,
-    is_lapse,
-    likelihoods,
-)
+from swarmtrack.motion.bearing_filters import BearingFilters, bearings_of, is_lapse, likelihoods
 from swarmtrack.motion.gyro import GyroHistory, Orientation, Orientations
+from swarmtrack.motion.priors import (
+    BEARING_AGILITIES,
+    BEARING_ESTABLISHED_HITS,
+    OFFSET_BLOCK_ERRORS_S,
+    OFFSET_BLOCK_LEAST_COMPONENTS,
+    OFFSET_BLOCK_S,
+    OFFSET_EDGE_POINTS,
+    OFFSET_ESTIMATE_PERIOD_S,
+    OFFSET_EVIDENCE_FADES_S,
+    OFFSET_EVIDENCE_FORGOTTEN_S,
+    OFFSET_GRID_STEP_S,
+    OFFSET_GYRO_WAIT_S,
+    OFFSET_LEAST_INFORMATION,
+    OFFSET_LIKELY_LOG_RATIO,
+    OFFSET_MAX_WAITING_SCANS,
+    OFFSET_REACH_S,
+    OFFSET_SLEW,
+    OFFSET_SLOPE_STEPS,
+    OFFSET_UNKNOWN_SIGMA_S,
+    OFFSET_USED_SIGMA_S,
+)
 
-REACH = 0.15  # s about the start value that are searched
-STEP = 0.01  # s: a rotation of 5 Hz still is a parabola about its minimum
-HALF = 2  # steps to either side over which slopes are taken: fewer let the gyro's noise in
-FADES = 60.0  # s in which evidence loses all but 1/e of its weight
-BLOCK = 2.0  # s: about a manoeuvre
-MIN_COMPONENTS = 8.0  # of a block's innovations: with fewer its scale is anything
-FORGETS = 3.0 * FADES  # s after which a block has no weight worth the work
-# s by which a block may err beyond its noise: from less than any estimate's own σ to as much as is searched. Each is as
-# likely as the next before the flight.
-TAUS: Array = np.geomspace(6e-5, 64e-3, 11)
-LIKELY = 30.0  # log-likelihood below the best, down to which an offset's gates stay open
-TINY = 1e-300  # instead of a division by zero
-# s: by then the gyro has passed whatever may be asked of it, early stamps included
-WAITS = 0.05 + 2.0 * REACH
-MAX_WAITING = 64  # scans; more wait only where the stamps jump
-SURE = 3e-3  # s, one sigma: an offset that is known so well is used
-SLEW = 0.1  # s of correction for each second
-JUDGED_EVERY = 0.5  # s
-KNOWS_NOTHING = 0.5 * REACH  # s, one sigma: little less than if all that are searched were as likely
-EDGE = HALF + 1  # grid points at either end where a minimum is none
-
-_GRID: Array = np.linspace(-REACH, REACH, 2 * round(REACH / STEP) + 1)
-_INNER = slice(HALF, len(_GRID) - HALF)
-_SPAN = 2 * HALF * STEP
+_GRID: Array = np.linspace(
+    -OFFSET_REACH_S, OFFSET_REACH_S, 2 * round(OFFSET_REACH_S / OFFSET_GRID_STEP_S) + 1
+)
+_INNER = slice(OFFSET_SLOPE_STEPS, len(_GRID) - OFFSET_SLOPE_STEPS)
+_SPAN = 2 * OFFSET_SLOPE_STEPS * OFFSET_GRID_STEP_S
 # Of the parabola through the points about the least: coefficients of x² and x by least squares, x in s.
-_PARABOLA = np.linalg.pinv(np.vander(_GRID[len(_GRID) // 2 - HALF : len(_GRID) // 2 + HALF + 1], 3))[:2]
+_PARABOLA = np.linalg.pinv(
+    np.vander(_GRID[len(_GRID) // 2 - OFFSET_SLOPE_STEPS : len(_GRID) // 2 + OFFSET_SLOPE_STEPS + 1], 3)
+)[:2]
 
 
 class OffsetEstimate(NamedTuple):
@@ -88,7 +85,7 @@ def to_use(found: OffsetEstimate, used_s: float, start_s: float) -> float:
     def off(offset_s: float) -> float:
         return abs(found.offset_s - offset_s) / found.sigma_s
 
-    if found.sigma_s < SURE:
+    if found.sigma_s < OFFSET_USED_SIGMA_S:
         return found.offset_s if off(used_s) > 2.0 else used_s
     # What was taken up and is contradicted since is given back, however little is known by now.
     return min(used_s, start_s, key=off) if off(used_s) > 3.0 else used_s
@@ -97,8 +94,8 @@ def to_use(found: OffsetEstimate, used_s: float, start_s: float) -> float:
 class CameraClock:
     """Stamps to exposures on the IMU's clock, by the offset that was told and, once it is sure, by the one found.
 
-    Moved towards what was found no faster than `SLEW`, so that exposures stay in order and no scan comes out late;
-    and only where the two differ by more than the estimate's own error, so that a good calibration is left alone.
+    Moved towards what was found no faster than `OFFSET_SLEW`, so that exposures stay in order and no scan comes out
+    late; and only where the two differ by more than the estimate's own error, so that a good calibration is left alone.
     """
 
     def __init__(self, start_s: float, *, estimates: bool = True) -> None:
@@ -118,13 +115,13 @@ class CameraClock:
         if self._evidence is None or stamp <= self._newest:
             return stamp + self.used_s
         self._evidence.advance(gyro, stamp)
-        if stamp - self._judged >= JUDGED_EVERY:
+        if stamp - self._judged >= OFFSET_ESTIMATE_PERIOD_S:
             self._judged = stamp
             self._found = found = self._evidence.estimate
             if found:
                 self._aim_s = to_use(found, self._aim_s, self._start_s)
         # Unbounded for the first scan, but then nothing has been found yet.
-        most = SLEW * (stamp - self._newest)
+        most = OFFSET_SLEW * (stamp - self._newest)
         self.used_s += min(max(self._aim_s - self.used_s, -most), most)
         self._newest = stamp
         return stamp + self.used_s
@@ -149,12 +146,12 @@ class TimeOffset:
 
     def __init__(self, start_s: float = 0.0) -> None:
         self.start_s = start_s
-        self._waiting: deque[_Bearings] = deque(maxlen=MAX_WAITING)
+        self._waiting: deque[_Bearings] = deque(maxlen=OFFSET_MAX_WAITING_SCANS)
         self._last: tuple[float, Orientation] | None = None
         self._targets = BearingFilters(len(_GRID))
         self._block: _Block | None = None
         self._blocks: deque[_Block] = deque()
-        self._agility = len(AGILITIES) // 2  # the likeliest
+        self._agility = len(BEARING_AGILITIES) // 2  # the likeliest
         self._likely = np.ones(len(_GRID), dtype=bool)
         self._judged = -math.inf
         self._now = -math.inf
@@ -169,18 +166,18 @@ class TimeOffset:
 
     def advance(self, gyro: GyroHistory, t: float) -> None:
         """Take what is old enough at the stamp t. It depends on t alone, not on who arrived first."""
-        while self._waiting and self._waiting[0].t + WAITS <= t:
+        while self._waiting and self._waiting[0].t + OFFSET_GYRO_WAIT_S <= t:
             scan = self._waiting.popleft()
             self._take(scan, gyro)
-            if scan.t >= self._judged + JUDGED_EVERY:
+            if scan.t >= self._judged + OFFSET_ESTIMATE_PERIOD_S:
                 self._judged = scan.t
                 self.estimate = self._judge()
 
     def _judge(self) -> OffsetEstimate | None:
-        blocks = [block for block in self._blocks if block.components >= MIN_COMPONENTS]
+        blocks = [block for block in self._blocks if block.components >= OFFSET_BLOCK_LEAST_COMPONENTS]
         if not blocks:
             return None
-        weight = np.exp([(block.end - self._now) / FADES for block in blocks])
+        weight = np.exp([(block.end - self._now) / OFFSET_EVIDENCE_FADES_S for block in blocks])
         likelihood, scale = likelihoods(
             np.array([block.cost for block in blocks]),
             np.array([block.log_det for block in blocks]),
@@ -191,20 +188,20 @@ class TimeOffset:
         agility = softmax(likelihood[:, :, k], axis=1)
         self._agility = int((weight @ agility).argmax())
         curvature, slope = np.zeros(0), np.zeros(0)
-        if EDGE <= k < len(_GRID) - EDGE:
+        if OFFSET_EDGE_POINTS <= k < len(_GRID) - OFFSET_EDGE_POINTS:
             curvature, slope = _parabolas(blocks, agility / scale[:, :, k], k)
         if not curvature.any():
-            self._likely = surprise < surprise[k] + LIKELY
+            self._likely = surprise < surprise[k] + OFFSET_LIKELY_LOG_RATIO
             return None
         offset, variance = _agreed(curvature, slope, weight)
         # All blocks together are as sure as that, and not as sure as the sum of what each says.
         surprise = (surprise - surprise[k]) * min(1.0 / (variance * float(weight @ curvature)), 1.0)
-        self._likely = surprise < LIKELY
+        self._likely = surprise < OFFSET_LIKELY_LOG_RATIO
         # Where the evidence has several hills, how far they lie apart.
         odds = softmax(-surprise)
         spread = math.sqrt(float(odds @ (_GRID - odds @ _GRID) ** 2))
         sigma = max(math.sqrt(variance), spread)
-        if sigma > KNOWS_NOTHING or abs(_GRID[k] + offset) > REACH:
+        if sigma > OFFSET_UNKNOWN_SIGMA_S or abs(_GRID[k] + offset) > OFFSET_REACH_S:
             return None
         return OffsetEstimate(float(self.start_s + _GRID[k] + offset), float(sigma))
 
@@ -221,9 +218,9 @@ class TimeOffset:
         self._last = (scan.t, orientation)
         self._now = scan.t
         if self._block is None or scan.t > self._block.end:
-            self._block = _Block(scan.t + BLOCK)
+            self._block = _Block(scan.t + OFFSET_BLOCK_S)
             self._blocks.append(self._block)
-            while self._blocks[0].end < scan.t - FORGETS:
+            while self._blocks[0].end < scan.t - OFFSET_EVIDENCE_FORGOTTEN_S:
                 self._blocks.popleft()
         self._learn(scan, orientations)
 
@@ -231,7 +228,12 @@ class TimeOffset:
         of_axes = orientations.matrices.transpose(2, 1, 0).reshape(3, -1)
         turned = (scan.bearings @ of_axes).reshape(-1, 3, len(_GRID))
         y, S, variance = self._targets.follow(
-            scan.t, turned, scan.variance, agility=self._agility, likely=self._likely, least_hits=ESTABLISHED
+            scan.t,
+            turned,
+            scan.variance,
+            agility=self._agility,
+            likely=self._likely,
+            least_hits=BEARING_ESTABLISHED_HITS,
         )
         if len(y):
             self._add(y, S, variance, orientations.noise)
@@ -239,7 +241,7 @@ class TimeOffset:
     def _add(self, y: Array, S: Array, variance: Array, gyro_noise: float) -> None:
         """Learn from innovations y (n, q, 3, g) of variance S (n, q), of bearings of the given variance (n,)."""
         d = (y * y).sum(axis=2) / S[:, :, None]  # (n, q, g)
-        slopes = (y[..., 2 * HALF :] - y[..., : -2 * HALF]) / _SPAN
+        slopes = (y[..., 2 * OFFSET_SLOPE_STEPS :] - y[..., : -2 * OFFSET_SLOPE_STEPS]) / _SPAN
         block = self._block
         assert block is not None
         block.cost += d.sum(axis=0)
@@ -255,11 +257,11 @@ class _Block:
     """What some seconds say, for each agility q and offset g: sums over the innovations of all targets."""
 
     def __init__(self, end: float) -> None:
-        models = (len(AGILITIES), len(_GRID))
+        models = (len(BEARING_AGILITIES), len(_GRID))
         self.end = end
         # Squared innovations over their variance; logarithms of that; and how many.
         self.cost = np.zeros(models)
-        self.log_det = np.zeros(len(AGILITIES))
+        self.log_det = np.zeros(len(BEARING_AGILITIES))
         self.components = 0.0
         # Squared slopes of the innovations over the offset, over the same variance, and what the gyro's noise puts
         # into them, s⁻².
@@ -270,11 +272,11 @@ class _Block:
 def _parabolas(blocks: list[_Block], weight: Array, k: int) -> tuple[Array, Array]:
     """Curvature and slope (b,) of each block's surprise at the grid's k-th offset, s⁻² and s⁻¹; weight (b, q) of each
     agility's cost. What the gyro's noise adds to the curvature is taken off."""
-    cost = np.array([block.cost[:, k - HALF : k + HALF + 1] for block in blocks])
+    cost = np.array([block.cost[:, k - OFFSET_SLOPE_STEPS : k + OFFSET_SLOPE_STEPS + 1] for block in blocks])
     half_curvature, slope = 0.5 * _PARABOLA @ (weight[:, :, None] * cost).sum(axis=1).T
     information = (weight * np.array([block.information[:, k] for block in blocks])).sum(axis=1)
     noise = weight.sum(axis=1) * np.array([block.noise for block in blocks])
-    signal = np.maximum(1.0 - noise / np.maximum(information, TINY), 0.0)
+    signal = np.maximum(1.0 - noise / np.maximum(information, OFFSET_LEAST_INFORMATION), 0.0)
     return 2.0 * signal * np.maximum(half_curvature, 0.0), slope
 
 
@@ -290,7 +292,7 @@ def _agreed(curvature: Array, slope: Array, weight: Array) -> tuple[float, float
         -slope[informed] / curvature[informed],
         1.0 / curvature[informed],
     )
-    precision = 1.0 / (variance + TAUS[:, None] ** 2)  # (τ, b)
+    precision = 1.0 / (variance + OFFSET_BLOCK_ERRORS_S[:, None] ** 2)  # (τ, b)
     total = precision @ weight
     mean = precision @ (weight * own) / total
     misfit = (precision * (own - mean[:, None]) ** 2) @ weight

@@ -32,7 +32,8 @@ from foxglove.messages import (
     Vector3,
 )
 
-from swarmtrack.cameras.field_of_view import PER_SIDE, outline
+from swarmtrack.cameras.field_of_view import outline
+from swarmtrack.cameras.priors import OUTLINE_POINTS_PER_SIDE
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose as Placed
 from swarmtrack.geometry.rotation import to_quaternion
@@ -125,7 +126,7 @@ class FoxgloveScene:
 
     def _view(self, name: str, lens: PinholeCamera, stamp: Timestamp) -> SceneEntity:
         border = VIEW_M * outline(lens)
-        edges = [point for corner in border[::PER_SIDE] for point in (np.zeros(3), corner)]
+        edges = [point for corner in border[::OUTLINE_POINTS_PER_SIDE] for point in (np.zeros(3), corner)]
         return SceneEntity(
             timestamp=stamp,
             frame_id=name,

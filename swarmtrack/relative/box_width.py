@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-# Of the width: a box that is padding for the rest tells no distance.
-LEAST_DRONE = 0.25
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BoxWidth:

@@ -11,10 +11,9 @@ import numpy as np
 
 from swarmtrack.messages import Array, IdentifiedTrack, Scan, TrackStatus
 from swarmtrack.relative.looks import NamedBox
+from swarmtrack.relative.priors import TAKEN_DETECTION_GATE
 from swarmtrack.tracking.gaussian import innovations
 
-# Squared Mahalanobis distance of a track after the scan from the detection that it took: 4 σ.
-GATE = 16.0
 _NOWHERE, _NOTHING = np.full(2, np.nan), np.full((2, 2), np.nan)
 
 
@@ -40,7 +39,7 @@ def named_boxes(tracks: Sequence[IdentifiedTrack], scan: Scan, R: Array, camera:
         mine = {
             track.id: j
             for i, (track, j) in enumerate(zip(shown, nearest, strict=True))
-            if distance[i, j] < GATE and nearest.count(j) == 1
+            if distance[i, j] < TAKEN_DETECTION_GATE and nearest.count(j) == 1
         }
     boxes = []
     for entry in named:

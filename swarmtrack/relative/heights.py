@@ -17,13 +17,13 @@ from typing import NamedTuple
 
 from swarmtrack.messages import MotionReport, RelativeState, SightingReport
 from swarmtrack.relative.looks import TeamLook
-
-# s of a teammate's words that are kept; and s: words farther from the scan than this say nothing of its height then.
-MEMORY_S, CARRIED_S = 3.0, 0.6
-# m: of a said height, and of the own, from one moment to the next.
-JITTER_M = 0.05
-# m/s², one sigma: by which a said velocity may have changed since; m/s: of a teammate that tells no velocity.
-ACCELERATION, SPEED = 1.0, 0.7
+from swarmtrack.relative.priors import (
+    HEIGHT_ACCELERATION_SIGMA_M_S2,
+    HEIGHT_CARRIED_S,
+    HEIGHT_JITTER_M,
+    HEIGHT_REPORTS_KEPT_S,
+    HEIGHT_SPEED_SIGMA_M_S,
+)
 
 
 class HeightSight(NamedTuple):
@@ -96,7 +96,7 @@ class SaidHeights:
                     word,
                     look.t,
                     off,
-                    math.hypot(sigma, ray_sigma, JITTER_M),
+                    math.hypot(sigma, ray_sigma, HEIGHT_JITTER_M),
                     distance * math.hypot(north, east),
                     distance * abs(down) * state.range_sigma_log,
                 )
@@ -109,13 +109,17 @@ class SaidHeights:
         for heard in (self._moved, self._placed):
             kind, words = heard.get(drone, ("", ()))
             near = min(words, key=lambda word: abs(word.t - t), default=None)
-            if near is None or abs(near.t - t) > CARRIED_S:
+            if near is None or abs(near.t - t) > HEIGHT_CARRIED_S:
                 continue
             age = t - near.t
             climb = 0.0 if near.climb is None else near.climb
-            speed = SPEED if near.climb is None else 0.5 * ACCELERATION * abs(age)
+            speed = (
+                HEIGHT_SPEED_SIGMA_M_S
+                if near.climb is None
+                else 0.5 * HEIGHT_ACCELERATION_SIGMA_M_S2 * abs(age)
+            )
             late = abs(climb) * near.t_sigma
-            return kind, near.height + climb * age, math.hypot(speed * age, late, JITTER_M)
+            return kind, near.height + climb * age, math.hypot(speed * age, late, HEIGHT_JITTER_M)
         return None
 
 
@@ -125,5 +129,5 @@ def _remember(heard: dict[int, tuple[str, deque[_Word]]], drone: int, kind: str,
         known = heard[drone] = kind, deque()
     words = known[1]
     words.append(word)
-    while words[0].t < word.t - MEMORY_S:
+    while words[0].t < word.t - HEIGHT_REPORTS_KEPT_S:
         words.popleft()

@@ -27,18 +27,18 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from swarmtrack.messages import Array
+from swarmtrack.relative.priors import (
+    OWN_WAY_LEVER,
+    RELATIVE_FARTHEST_M,
+    RELATIVE_NEAREST_M,
+    WANDER_SHORT_STEP,
+)
 
 STATES: Final = 12
 ACROSS, RANGE, SPEED = slice(0, 2), 2, slice(3, 6)
 LASTING, WANDERING, PLACE, TURN = 6, 7, slice(8, 11), 11
 _MOVING: Final = slice(0, 6)
-# m: nearer and farther is nobody; a guess that runs away ends here.
-NEAREST, FARTHEST = 0.3, 300.0
-_LOG_NEAREST, _LOG_FARTHEST = math.log(NEAREST), math.log(FARTHEST)
-# Times the variance of the own way along three axes: what moved by less tells nothing of ranges.
-LEVER = 9.0
-# Of forget_s: a step that is shorter.
-SHORT = 1e-2
+_LOG_NEAREST, _LOG_FARTHEST = math.log(RELATIVE_NEAREST_M), math.log(RELATIVE_FARTHEST_M)
 _IDENTITY: Final = np.eye(STATES)
 _IDENTITY.setflags(write=False)
 
@@ -123,7 +123,7 @@ def unit_decay(dt: float, tau: float) -> UnitDecay:
     x = dt / tau
     # Of short steps the closed form is a difference of nearly equal numbers.
     way = dt**3 * (1.0 / 3.0 - x / 4.0 + 7.0 * x * x / 60.0)
-    if x > SHORT:
+    if x > WANDER_SHORT_STEP:
         way = tau**2 * (dt - 2.0 * phi + 0.5 * tau * (1.0 - left * left))
     return UnitDecay(phi, left, way, phi * phi / 2.0, -0.5 * tau * math.expm1(-2.0 * x))
 
@@ -208,7 +208,7 @@ def predicted(
     E = across(d)
     s = now.s * (step.left * shorter)[:, None]
     onto = np.concatenate([E, d[:, :, None]], axis=2).swapaxes(1, 2) * shorter[:, None, None]
-    lever = max(0.0, 1.0 - LEVER * (own.walked + 2.0 * own.jitter) / max(float(u @ u), 1e-12))
+    lever = max(0.0, 1.0 - OWN_WAY_LEVER * (own.walked + 2.0 * own.jitter) / max(float(u @ u), 1e-12))
     by_state = np.zeros((now.n, 3, 6))
     by_state[:, :, ACROSS] = now.E
     by_state[:, :, RANGE] = u * (lever * near)[:, None]

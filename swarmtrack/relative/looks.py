@@ -12,14 +12,7 @@ import numpy as np
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
-from swarmtrack.relative.box_width import LEAST_DRONE
-
-# rad: a camera rolled by more sees no width of its own.
-MOST_ROLL = math.radians(35.0)
-# px: a box that is nearer to the border may be cut off.
-BORDER_PX = 2.0
-# Of the width: a box that was turned upright by the own roll is as much less certain, for each rad.
-ROLL_NOISE = 0.3
+from swarmtrack.relative.priors import LEAST_DRONE_SHARE, MOST_ROLL_RAD, WHOLE_BOX_BORDER_PX
 
 
 class NamedBox(NamedTuple):
@@ -96,7 +89,7 @@ def gains(size: Array, padding_px: float) -> Array:
     """(n,): of boxes of size (n, 2) px, their width over what is left of it without the padding; 1 where they are none
     or tell nothing."""
     with np.errstate(invalid="ignore"):
-        usable = size[:, 0] - padding_px > LEAST_DRONE * size[:, 0]
+        usable = size[:, 0] - padding_px > LEAST_DRONE_SHARE * size[:, 0]
     return np.asarray(np.where(usable, size[:, 0] / np.where(usable, size[:, 0] - padding_px, 1.0), 1.0))
 
 
@@ -106,25 +99,25 @@ def widths(
     """(n,) rad: how wide what the boxes of size (n, 2) px at undistorted z (n, 2) are around is, level as seen in the
     world.
 
-    A drone is wider than high, so that the box of a camera that rolls by ρ has sides w² = W² cos² ρ + H² sin² ρ and
-    h² = W² sin² ρ + H² cos² ρ, as of an ellipse: turned back, W² = (w² cos² ρ − h² sin² ρ) / cos 2ρ. NaN where the
-    camera rolls by more than `MOST_ROLL`, of a box at the border, which may be cut off, and of one that is nearly all
+    A drone is wider than high, so that the box of a camera that rolls by ρ has sides w² = W² cos² ρ + H² sin² ρ and h²
+    = W² sin² ρ + H² cos² ρ, as of an ellipse: turned back, W² = (w² cos² ρ − h² sin² ρ) / cos 2ρ. NaN where the camera
+    rolls by more than `MOST_ROLL_RAD`, of a box at the border, which may be cut off, and of one that is nearly all
     padding.
     """
     roll = camera_roll(team_from_camera)
-    if abs(roll) > MOST_ROLL:
+    if abs(roll) > MOST_ROLL_RAD:
         return np.full(len(z), np.nan)
     cosine, sine = math.cos(roll) ** 2, math.sin(roll) ** 2
     with np.errstate(invalid="ignore"):
         drone = size - padding_px
-        drone = np.where(drone > LEAST_DRONE * size, drone, [[math.nan, 0.0]])
+        drone = np.where(drone > LEAST_DRONE_SHARE * size, drone, [[math.nan, 0.0]])
         square = drone[:, 0] ** 2 * cosine - drone[:, 1] ** 2 * sine
         level = np.sqrt(np.where(square > 0.0, square, np.nan) / math.cos(2.0 * roll))
         low, high = camera.frame_bounds
         at = camera.framed(z).at
-        whole = (at - 0.5 * size > low + BORDER_PX).all(axis=1) & (at + 0.5 * size < high - BORDER_PX).all(
-            axis=1
-        )
+        whole = (at - 0.5 * size > low + WHOLE_BOX_BORDER_PX).all(axis=1) & (
+            at + 0.5 * size < high - WHOLE_BOX_BORDER_PX
+        ).all(axis=1)
     edge = np.zeros_like(z)
     edge[:, 0], edge[:, 1] = 0.5 * level * math.cos(roll), -0.5 * level * math.sin(roll)
     left, right = np.split(camera.rays_in_frame(np.concatenate([at - edge, at + edge])), 2)

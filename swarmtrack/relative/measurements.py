@@ -15,7 +15,6 @@ from swarmtrack.messages import Array
 from swarmtrack.relative.log_range import (
     ACROSS,
     LASTING,
-    NEAREST,
     PLACE,
     RANGE,
     SPEED,
@@ -26,6 +25,7 @@ from swarmtrack.relative.log_range import (
     Decay,
     across,
 )
+from swarmtrack.relative.priors import RELATIVE_NEAREST_M
 
 _ABOUT_DOWN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
 """(3, 3): by how much a turn about the vertical moves a vector, per rad."""
@@ -147,7 +147,7 @@ def ranged(at: Carried, distance: float, sigma: float, own_way: Array) -> Measur
     x = at.x - own_way
     rho = float(np.sqrt(x @ x))
     # Of a distance that is none, the logarithm would be as vague as it is wrong.
-    variance = (sigma**2 + at.noise_x) / max(distance, NEAREST) ** 2
+    variance = (sigma**2 + at.noise_x) / max(distance, RELATIVE_NEAREST_M) ** 2
     return Measured(
         np.array([math.log(distance / rho)]), (x / rho**2 @ at.by_x)[None], np.array([[variance]])
     )
@@ -161,9 +161,9 @@ def ray_of_another(
     x = at.x - origin
     axes = across(direction[None])[0].T
     along = float(direction @ x)
-    if along < NEAREST:
+    if along < RELATIVE_NEAREST_M:
         # It leads the other way: where the teammate is on its line, but behind, that is half a turn off.
-        along = max(float(np.sqrt(x @ x)), NEAREST)
+        along = max(float(np.sqrt(x @ x)), RELATIVE_NEAREST_M)
         x = x + math.pi * along * axes[0]
     variance = sigma**2 + (origin_sigma**2 + at.noise_x) / along**2
     R = variance * np.eye(2) + axes @ at.more_x @ axes.T / along**2

@@ -9,7 +9,8 @@ tell of ranges: nobody who is not of the team flies our bends.
 
     z = a + b t − q (Eᵀu − z m·u)
 
-Theory of operation. Each track without a name has such a fit, which forgets within `FORGET_S`. It is far off once
+Theory of operation. Each track without a name has such a fit, which forgets within `PARALLAX_FORGET_S`. It is far off
+once
 
 * the fit says so by two sigmas, from bends that are long beside what a hovering drone sways: else a near drone that
   happens to sway along with us would be far off as well;
@@ -18,8 +19,8 @@ Theory of operation. Each track without a name has such a fit, which forgets wit
 It is so no longer, and has to be shown again,
 
 * when it is not where the fit expects it: it does not stand still, or the track is another thing by now;
-* when it has grown: what was beyond `FAR_M` is beyond `REACH_M` until it appears larger by their quotient. That needs
-  no range, and nobody comes without growing;
+* when it has grown: what was beyond `PARALLAX_FAR_M` is beyond `PARALLAX_REACH_M` until it appears larger by their
+  quotient. That needs no range, and nobody comes without growing;
 * when the own place has leapt: a leap that was not flown is a bend in which nothing moved, so that all were far off.
 
 A track that begins where one that has ended is expected, and as large, goes on with its fit: who turns to and fro loses
@@ -30,7 +31,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,28 +39,26 @@ from swarmtrack.messages import Array
 from swarmtrack.motion.leap import has_leapt
 from swarmtrack.relative.log_range import across
 from swarmtrack.relative.looks import TeamLook
-
-# m: what is beyond is far off; and what nobody is kept clear of.
-FAR_M: Final = 10.0
-REACH_M: Final = 7.5
-GROWN: Final = math.log(FAR_M / REACH_M)
-# s, looks, and m of bends, RMS across the ray: of so much it is told. A drone that hovers sways by a tenth of a metre.
-LEAST_S, LEAST_LOOKS, LEAST_ACROSS_M = 1.0, 6, 0.3
-# 1/s: who grows no faster, by one sigma, takes 16 s at least to come; and of ln(width), the least sigma.
-GROWS, WIDTH_SIGMA = 0.06, 0.1
-# s: over which the fit forgets, and over which what has just been seen is averaged.
-FORGET_S, RECENT_S = 20.0, 0.7
-# rad, per axis: of the own attitude, from one look to the next.
-ATTITUDE_SIGMA: Final = 0.006
-# Of squared residuals over their variance: as large is their mean where the fit fits, and where it does of late.
-FITS, STILL_FITS = 2.0, 4.0
-# s: so long a fit is remembered once its track has ended, if it had so many looks; and squared sigmas that a new track
-# may be beside.
-REMEMBERED_S, REMEMBERED_LOOKS, SAME_PLACE = 15.0, 3, 9.0
-# Cosine: seen at a larger angle from where it was seen first, the fit begins again.
-TURNED: Final = 0.5
-# Sigmas that it may be nearer.
-SIGMAS: Final = 2.0
+from swarmtrack.relative.priors import (
+    PARALLAX_ATTITUDE_SIGMA_RAD,
+    PARALLAX_FAR_M,
+    PARALLAX_FORGET_S,
+    PARALLAX_GROWN_LOG_WIDTH,
+    PARALLAX_GROWTH_PER_S,
+    PARALLAX_LEAST_ACROSS_M,
+    PARALLAX_LEAST_LOOKS,
+    PARALLAX_LEAST_S,
+    PARALLAX_LOG_WIDTH_SIGMA,
+    PARALLAX_MISFIT,
+    PARALLAX_NEARER_SIGMAS,
+    PARALLAX_REACH_M,
+    PARALLAX_RECENT_MISFIT,
+    PARALLAX_RECENT_S,
+    PARALLAX_REMEMBERED_LOOKS,
+    PARALLAX_REMEMBERED_S,
+    PARALLAX_SAME_PLACE_GATE,
+    PARALLAX_TURNED_COSINE,
+)
 
 
 class _Sight(NamedTuple):
@@ -81,7 +80,7 @@ class _Projected(NamedTuple):
 
     def closer(self, x: Array) -> float:
         """Its range over that from c₀, by the fit's x; not below a tenth."""
-        return max(1.0 - min(max(float(x[4]), 0.0), 1.0 / REACH_M) * self.along, 0.1)
+        return max(1.0 - min(max(float(x[4]), 0.0), 1.0 / PARALLAX_REACH_M) * self.along, 0.1)
 
 
 class _Solved(NamedTuple):
@@ -128,7 +127,7 @@ class _Fit:
     def projected(self, sight: _Sight) -> _Projected | None:
         """None where it is turned too far from where it was seen first."""
         ahead = float(self.m @ sight.ray)
-        if ahead < TURNED:
+        if ahead < PARALLAX_TURNED_COSINE:
             return None
         u = sight.camera - self.camera
         along, z = float(self.m @ u), self.E.T @ sight.ray / ahead
@@ -154,7 +153,7 @@ class _Fit:
         # A sight of another camera may be a little older than the last one.
         newest = max(sight.t, self.t)
         dt, self.t = newest - self.t, newest
-        kept = math.exp(-dt / FORGET_S)
+        kept = math.exp(-dt / PARALLAX_FORGET_S)
         self.information = kept * self.information + H.T @ H / sight.variance
         self.vector = kept * self.vector + H.T @ z / sight.variance
         # The noise of z is in H as well, times the way along the ray: it must not count as a bend of the way.
@@ -166,36 +165,40 @@ class _Fit:
         residual = z - H @ solved.x
         misfit = float(residual @ residual) / (2.0 * sight.variance)
         self.misfit += (misfit - self.misfit) / self.weight
-        self.misfit_now += (misfit - self.misfit_now) * max(-math.expm1(-dt / RECENT_S), 1.0 / self.looks)
+        self.misfit_now += (misfit - self.misfit_now) * max(
+            -math.expm1(-dt / PARALLAX_RECENT_S), 1.0 / self.looks
+        )
         if math.isfinite(sight.log_width):
             self._take_in_width(sight.log_width + math.log(seen.closer(solved.x)), dt)
-        known = sight.t - self.begun > LEAST_S and self.looks > LEAST_LOOKS
-        grown = self.width_now - self.width > GROWN
-        if known and (grown or self.misfit_now > STILL_FITS):
+        known = sight.t - self.begun > PARALLAX_LEAST_S and self.looks > PARALLAX_LEAST_LOOKS
+        grown = self.width_now - self.width > PARALLAX_GROWN_LOG_WIDTH
+        if known and (grown or self.misfit_now > PARALLAX_RECENT_MISFIT):
             return False
-        most_q = float(solved.x[4]) + SIGMAS * math.sqrt(
+        most_q = float(solved.x[4]) + PARALLAX_NEARER_SIGMAS * math.sqrt(
             max(float(solved.cov[4, 4]), 0.0) * max(self.misfit, 1.0)
         )
         nearest = (1.0 - most_q * along) / most_q if most_q > 0.0 else math.inf
-        stays = self.far or self._fastest_growth() < GROWS
-        fits = self.misfit < FITS and solved.bends > LEAST_ACROSS_M
-        self.far = known and stays and fits and nearest > FAR_M
+        stays = self.far or self._fastest_growth() < PARALLAX_GROWTH_PER_S
+        fits = self.misfit < PARALLAX_MISFIT and solved.bends > PARALLAX_LEAST_ACROSS_M
+        self.far = known and stays and fits and nearest > PARALLAX_FAR_M
         return True
 
     def _take_in_width(self, width: float, dt: float) -> None:
-        kept = math.exp(-dt / FORGET_S)
+        kept = math.exp(-dt / PARALLAX_FORGET_S)
         self.sizes = kept * self.sizes + 1.0
         self.width += (width - self.width) / self.sizes
         at = np.array([1.0, self.t - self.begun])
         self.sizing = kept * self.sizing + np.outer(at, at)
         self.sized = kept * self.sized + width * at
-        self.width_now += (width - self.width_now) * max(-math.expm1(-dt / RECENT_S), 1.0 / self.sizes)
+        self.width_now += (width - self.width_now) * max(
+            -math.expm1(-dt / PARALLAX_RECENT_S), 1.0 / self.sizes
+        )
 
     def _fastest_growth(self) -> float:
         """1/s, of the width, one sigma above what the boxes say."""
         # A sigma of 1/s: boxes that tell no slope tell that nothing is known.
-        cov = np.linalg.inv(self.sizing / WIDTH_SIGMA**2 + np.diag([1e-6, 1.0]))
-        line = cov @ self.sized / WIDTH_SIGMA**2
+        cov = np.linalg.inv(self.sizing / PARALLAX_LOG_WIDTH_SIGMA**2 + np.diag([1e-6, 1.0]))
+        line = cov @ self.sized / PARALLAX_LOG_WIDTH_SIGMA**2
         return float(line[1] + math.sqrt(cov[1, 1]))
 
 
@@ -222,10 +225,10 @@ class FarOff:
         self._last = look.t, look.camera
         seen = {key[1] for key in look.keys}
         ended = [fit for track, fit in self._fits.items() if track not in seen]
-        self._gone += [fit for fit in ended if fit.looks >= REMEMBERED_LOOKS]
-        self._gone = [fit for fit in self._gone if look.t - fit.t < REMEMBERED_S]
+        self._gone += [fit for fit in ended if fit.looks >= PARALLAX_REMEMBERED_LOOKS]
+        self._gone = [fit for fit in self._gone if look.t - fit.t < PARALLAX_REMEMBERED_S]
         self._fits = {track: fit for track, fit in self._fits.items() if track in seen}
-        variances = 0.5 * np.trace(look.ray_cov, axis1=1, axis2=2) + ATTITUDE_SIGMA**2
+        variances = 0.5 * np.trace(look.ray_cov, axis1=1, axis2=2) + PARALLAX_ATTITUDE_SIGMA_RAD**2
         rows = zip(look.keys, look.ray, variances.tolist(), np.log(look.width).tolist(), strict=True)
         for (_, track), ray, variance, log_width in rows:
             if not math.isfinite(float(ray[0])):
@@ -245,7 +248,7 @@ class FarOff:
             x, cov, _ = fit.solved()
             residual = seen.z - seen.H @ x
             S = seen.H @ cov @ seen.H.T + sight.variance * np.eye(2)
-            alike = abs(sight.log_width + math.log(seen.closer(x)) - fit.width) < GROWN
-            if alike and float(residual @ np.linalg.solve(S, residual)) < SAME_PLACE:
+            alike = abs(sight.log_width + math.log(seen.closer(x)) - fit.width) < PARALLAX_GROWN_LOG_WIDTH
+            if alike and float(residual @ np.linalg.solve(S, residual)) < PARALLAX_SAME_PLACE_GATE:
                 return self._gone.pop(k)
         return None

@@ -9,9 +9,7 @@ import numpy as np
 
 from swarmtrack.messages import Array
 from swarmtrack.relative.box_width import BoxWidth
-
-# Of airframes nobody told the span of: half are between 0.3 and 0.7 m.
-USUAL_SPAN_M, USUAL_SPAN_SIGMA = 0.45, 0.6
+from swarmtrack.relative.priors import USUAL_SPAN_M, USUAL_SPAN_SIGMA
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

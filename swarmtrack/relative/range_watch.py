@@ -5,9 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from swarmtrack.messages import RangeReport
-
-# So many in a row, over so many s, are no chance.
-IN_A_ROW, OVER_S = 5, 1.0
+from swarmtrack.relative.priors import RANGES_IN_A_ROW, RANGES_IN_A_ROW_S
 
 
 class RangeNews(NamedTuple):
@@ -39,7 +37,11 @@ class RangeWatch:
         if run is None or run.believed != believed:
             run = _Run(believed, said.t, 0)
         run = self._runs[said.other] = run._replace(times=run.times + 1)
-        if run.times < IN_A_ROW or said.t - run.since < OVER_S or (said.other in self._told) != believed:
+        if (
+            run.times < RANGES_IN_A_ROW
+            or said.t - run.since < RANGES_IN_A_ROW_S
+            or (said.other in self._told) != believed
+        ):
             return None
         if believed:
             self._told.discard(said.other)

@@ -37,9 +37,7 @@ from swarmtrack.relative import measurements
 from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.log_range import (
     ACROSS,
-    FARTHEST,
     LASTING,
-    NEAREST,
     PLACE,
     RANGE,
     STATES,
@@ -62,28 +60,24 @@ from swarmtrack.relative.log_range import (
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.measurements import Carried, Measured, SizedRange
 from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.priors import (
+    BELIEF_HISTORY_S,
+    FRAME_RESET_SPEED_M_S,
+    MESSAGE_AHEAD_S,
+    MOST_INFLATION,
+    ODD_BOX_LASTS_S,
+    RELATIVE_FARTHEST_M,
+    RELATIVE_NEAREST_M,
+    REPORTED_PLACE_LASTING_SIGMA_M,
+    REPORTED_PLACE_WHITE_SIGMA_M,
+    REPORTED_SPEED_CHANGE_M_S2,
+    REPORTED_SPEED_WHITE_SIGMA_M_S,
+    SURE_SIGHTING_PROBABILITY,
+    UNREPORTED_PLACE_SIGMA_M,
+    VAGUE_LOG_RANGE,
+    VAGUE_PLACE_SIGMA_M,
+)
 from swarmtrack.relative.reading import OwnMotion, Reading
-
-# s of scans whose beliefs are kept for what comes late; and how far ahead of the last scan a message may be.
-HISTORY_S, AHEAD_S = 1.0, 0.5
-# Times the covariance: no more is believed of one ray.
-MOST_SURPRISED = 100.0
-# s: so long the box may be one around two drones.
-ODD_S = 1.0
-# m/s: no drone is faster; its own frame was set anew.
-FASTEST = 50.0
-# Of ln(range): a range that is known no better is none.
-VAGUE = 0.5
-# m, of a said place, one sigma per axis: what does not last, and what lasts of the best.
-PLACE_WHITE, PLACE_LASTING = 0.05, 0.1
-# m/s, of a said velocity, one sigma per axis; and m/s², s: how much it changes while clocks are apart.
-SPEED_WHITE, CHANGE = 0.05, 1.5
-# m: how far a drone whose own word is all that is known may be from there.
-UNTOLD_PLACE = 0.5
-# m: of a place, beyond which it tells no range.
-VAGUE_PLACE = 3.0
-# That a third drone's ray is to whom it says.
-SURE = 0.9
 
 
 class _SaidPlace(NamedTuple):
@@ -189,7 +183,7 @@ class RelativeStates:
         self._learn_pace(dt, posterior)
         last.onward = A @ F
         self._before.append(last)
-        while self._before and self._before[0].t < look.t - HISTORY_S:
+        while self._before and self._before[0].t < look.t - BELIEF_HISTORY_S:
             self._before.popleft()
         return posterior
 
@@ -217,7 +211,7 @@ class RelativeStates:
         stay = [i for i, key in enumerate(last.keys) if key in look.keys]
         if len(stay) < len(last.keys):
             last.keys, last.beliefs = tuple(last.keys[i] for i in stay), last.beliefs.rows(stay)
-        if float(u @ u) > (FASTEST * dt + 1.0) ** 2:
+        if float(u @ u) > (FRAME_RESET_SPEED_M_S * dt + 1.0) ** 2:
             last.keys, last.beliefs, stay = (), nobody(), []
         if not stay:
             self._before.clear()
@@ -270,7 +264,7 @@ class RelativeStates:
         for i in np.flatnonzero(found.H[:, 2, RANGE]).tolist():
             if by_size[i] <= 1.0:
                 self._odd_since.pop(keys[i], None)
-            elif t - self._odd_since.setdefault(keys[i], t) < ODD_S:
+            elif t - self._odd_since.setdefault(keys[i], t) < ODD_BOX_LASTS_S:
                 found.H[i, 2], found.nu[i, 2] = 0.0, 0.0
                 self.refused += 1
             else:
@@ -278,7 +272,7 @@ class RelativeStates:
         if not (times > 1.0).any():
             return prior
         self.surprised += int((times > 1.0).sum())
-        return replace(prior, P=prior.P * np.clip(times, 1.0, MOST_SURPRISED)[:, None, None])
+        return replace(prior, P=prior.P * np.clip(times, 1.0, MOST_INFLATION)[:, None, None])
 
     def _prior(self, keys: Iterable[tuple[int, int]]) -> VelocityPrior:
         return VelocityPrior(np.sqrt([self._pace[key] for key in keys]), self._p.forget_s)
@@ -304,7 +298,7 @@ class RelativeStates:
         P[LASTING, LASTING], P[WANDERING, WANDERING] = p.lasting**2, p.box_width.wander_sigma**2
         P[TURN, TURN] = p.turn_sigma**2
         said = self._said.get(key[0])
-        lasting = UNTOLD_PLACE**2 if said is None else said.lasting
+        lasting = UNREPORTED_PLACE_SIGMA_M**2 if said is None else said.lasting
         P[PLACE, PLACE] = lasting * np.eye(3)
         sized = self._sized(look, [i])
         lasts, wanders = float(sized.lasting[0]), float(sized.wandering[0])
@@ -330,7 +324,7 @@ class RelativeStates:
             P[RANGE, LASTING] = P[LASTING, RANGE] = -lasts * P[LASTING, LASTING]
             P[RANGE, WANDERING] = P[WANDERING, RANGE] = -wanders * P[WANDERING, WANDERING]
             sources.add("size")
-        log_range = min(max(log_range, math.log(NEAREST)), math.log(FARTHEST))
+        log_range = min(max(log_range, math.log(RELATIVE_NEAREST_M)), math.log(RELATIVE_FARTHEST_M))
         P[RANGE, RANGE] = variance
         pace = max(p.speed_sigma, p.fellows * math.sqrt(float(look.velocity @ look.velocity)))
         self._pace[key] = pace**2
@@ -355,8 +349,8 @@ class RelativeStates:
 
     def hear_announcement(self, said: Announcement) -> None:
         """A teammate's place, and how well it knows it."""
-        lasting = 2.0 * float(np.trace(said.position_cov)) / 3.0 + PLACE_LASTING**2
-        if lasting > VAGUE_PLACE**2:
+        lasting = 2.0 * float(np.trace(said.position_cov)) / 3.0 + REPORTED_PLACE_LASTING_SIGMA_M**2
+        if lasting > VAGUE_PLACE_SIGMA_M**2:
             # It doubts its own place.
             self._said.pop(said.drone_id, None)
             return
@@ -365,7 +359,9 @@ class RelativeStates:
 
     def hear_motion(self, said: MotionReport) -> None:
         """A teammate's own velocity, at its own time."""
-        cov = said.velocity_cov + (SPEED_WHITE**2 + (CHANGE * said.t_sigma) ** 2) * np.eye(3)
+        cov = said.velocity_cov + (
+            REPORTED_SPEED_WHITE_SIGMA_M_S**2 + (REPORTED_SPEED_CHANGE_M_S2 * said.t_sigma) ** 2
+        ) * np.eye(3)
 
         def measured(at: Carried, _: _Moment) -> Measured:
             return measurements.said_velocity(at, said.velocity, cov)
@@ -383,14 +379,14 @@ class RelativeStates:
 
     def hear_sightings(self, said: SightingReport) -> None:
         """Where a teammate says it is, and on which rays it sees others."""
-        if said.position_sigma > VAGUE_PLACE:
+        if said.position_sigma > VAGUE_PLACE_SIGMA_M:
             return
         drone = said.observer
         known = self._said.get(drone)
-        lasting = UNTOLD_PLACE**2 if known is None else known.lasting
+        lasting = UNREPORTED_PLACE_SIGMA_M**2 if known is None else known.lasting
         self._hear_place(drone, _SaidPlace(said.t, said.position, lasting, "pose"), said.t_sigma)
         for seen in said.sightings:
-            if seen.probability < SURE or self._row(seen.drone_id) is None:
+            if seen.probability < SURE_SIGHTING_PROBABILITY or self._row(seen.drone_id) is None:
                 continue
             since = min(max(said.t - self._rays.get((drone, seen.drone_id), -math.inf), 0.05), 1e3)
             # Its frame is off for long: many rays count as one.
@@ -412,7 +408,7 @@ class RelativeStates:
     def _hear_place(self, drone: int, said: _SaidPlace, t_sigma: float) -> None:
         """Fold it in; and keep it for when the name comes back, unless it contradicts what is believed, or is of no
         time that can be: a liar must not spoil what was said before."""
-        cov = (PLACE_WHITE**2 + (self._p.speed_sigma * t_sigma) ** 2) * np.eye(3)
+        cov = (REPORTED_PLACE_WHITE_SIGMA_M**2 + (self._p.speed_sigma * t_sigma) ** 2) * np.eye(3)
 
         def measured(at: Carried, then: _Moment) -> Measured:
             return measurements.said_place(at, said.position - then.camera, cov)
@@ -424,7 +420,7 @@ class RelativeStates:
 
     def _is_newer(self, drone: int, t: float) -> bool:
         """Whether a word of t is newer than what that drone said, and not yet to come."""
-        latest = math.inf if self._now is None else self._now.t + AHEAD_S
+        latest = math.inf if self._now is None else self._now.t + MESSAGE_AHEAD_S
         known = self._said.get(drone)
         return t < latest and (known is None or self._now is None or not t < known.t <= latest)
 
@@ -465,7 +461,7 @@ class RelativeStates:
     def _chain(self, key: tuple[int, int], t: float) -> list[_Moment] | None:
         """The scans from the last before t until now; None where that is too long ago, or t is yet to come."""
         assert self._now is not None
-        if not t < self._now.t + AHEAD_S:
+        if not t < self._now.t + MESSAGE_AHEAD_S:
             return None
         chain = [self._now]
         for moment in reversed(self._before):
@@ -489,7 +485,7 @@ class RelativeStates:
 
     def _read(self, now: _Moment) -> Reading:
         """For all readers until something changes."""
-        stated = np.flatnonzero(now.beliefs.P[:, RANGE, RANGE] < VAGUE**2).tolist()
+        stated = np.flatnonzero(now.beliefs.P[:, RANGE, RANGE] < VAGUE_LOG_RANGE**2).tolist()
         keys = [now.keys[i] for i in stated]
         sources = [tuple(name for name in RELATIVE_SOURCES if name in self._sources[key]) for key in keys]
         return Reading(
@@ -511,8 +507,8 @@ def _along(said: _SaidPlace, look: TeamLook, i: int, drift_speed: float) -> tupl
     """ln(range) and its variance by a said place; None where the ray does not lead there."""
     away = said.position - look.camera
     distance = float(look.ray[i] @ away)
-    spread = said.lasting + PLACE_WHITE**2 + (drift_speed * (look.t - said.t)) ** 2
-    if distance < NEAREST or spread > (VAGUE * distance) ** 2:
+    spread = said.lasting + REPORTED_PLACE_WHITE_SIGMA_M**2 + (drift_speed * (look.t - said.t)) ** 2
+    if distance < RELATIVE_NEAREST_M or spread > (VAGUE_LOG_RANGE * distance) ** 2:
         return None
     aside = away - distance * look.ray[i]
     if float(aside @ aside) > GATE[2] * (spread + 0.03**2 * distance**2):

@@ -22,7 +22,8 @@ from swarmtrack.messages import Array, Detections
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.recording import inputs
 from swarmtrack.recording.reader import FLIGHT_PLAN, Recording
-from swarmtrack.relative.looks import BORDER_PX, camera_roll
+from swarmtrack.relative.looks import camera_roll
+from swarmtrack.relative.priors import WHOLE_BOX_BORDER_PX
 from swarmtrack.replay.flight_labels import RecordedDrone, pose_of, read_drones
 from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, read_truth
 
@@ -155,7 +156,9 @@ def _box_at(seen: Detections, pixel: Array, reach: Array, others: Sequence[Array
 
 def _cut(centre: Array, size: Array, image: tuple[int, int]) -> bool:
     low, high = centre - size / 2.0, centre + size / 2.0
-    return bool((low < BORDER_PX).any() or (high > np.array(image) - 1.0 - BORDER_PX).any())
+    return bool(
+        (low < WHOLE_BOX_BORDER_PX).any() or (high > np.array(image) - 1.0 - WHOLE_BOX_BORDER_PX).any()
+    )
 
 
 def _looks(observer: RecordedDrone) -> Iterator[tuple[Detections, float]]:

@@ -12,7 +12,8 @@ from swarmtrack.config.trajectories import read_trajectories
 from swarmtrack.errors import ConfigError
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import AgreedMotion, Announcement, Array
-from swarmtrack.motion.sway import LASTS_S, sway
+from swarmtrack.motion.priors import SWAY_LASTS_S
+from swarmtrack.motion.sway import sway
 
 # Of a code, Hz: between the samples it is 2 mm off at most.
 SAMPLED_HZ = 20.0
@@ -80,6 +81,6 @@ def agreed_motions(config: DroneConfig, monotonic_from_utc: float) -> list[Agree
 
 def coded_motion(drone_id: int, team: Collection[int], begin: float, *, tried: bool = False) -> AgreedMotion:
     """The code of a drone of the team, as all sway from `begin` [s, monotonic] on; tried: if they do."""
-    t = np.linspace(0.0, LASTS_S, round(LASTS_S * SAMPLED_HZ) + 1)
+    t = np.linspace(0.0, SWAY_LASTS_S, round(SWAY_LASTS_S * SAMPLED_HZ) + 1)
     displacement = np.array([sway(drone_id, team, one)[0] for one in t.tolist()])
     return AgreedMotion(drone_id, begin + t, displacement, planned=False, tried=tried)

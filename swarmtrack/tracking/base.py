@@ -17,18 +17,16 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
-from swarmtrack.tracking.lifecycle import LOST_BELOW, Reach
+from swarmtrack.tracking.lifecycle import Reach
 from swarmtrack.tracking.motion_model import Course
 from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
+from swarmtrack.tracking.priors import LOST_BELOW_EXISTENCE, STEADY_RATE_CHANGE_RAD_S
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.smoothing import FixedLag
 from swarmtrack.tracking.table import TrackColumns, TrackIds, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
-
-# rad/s: a change of the camera's rate from scan to scan, below which a clock 10 ms off moves nothing by half a pixel
-STEADY = 0.1
 
 
 class Explained(NamedTuple):
@@ -193,7 +191,9 @@ class Tracker:
             return
         turn = [0.0, 0.0, 0.0] if rotation is None else turned_by(rotation).tolist()
         rate = [angle / dt for angle in turn]
-        self._steady = all(abs(new - old) < STEADY for new, old in zip(rate, self._rate, strict=True))
+        self._steady = all(
+            abs(new - old) < STEADY_RATE_CHANGE_RAD_S for new, old in zip(rate, self._rate, strict=True)
+        )
         self._rate = rate
 
     def update(self, scan: Scan) -> bool:
@@ -265,7 +265,7 @@ class Tracker:
         """(n,) s, of tracks that are lost because they are out of the picture: the first scan that missed them; NaN of
         all others."""
         table = self.filter.table
-        gone = table.lost & table.confirmed & (table.existence >= LOST_BELOW)
+        gone = table.lost & table.confirmed & (table.existence >= LOST_BELOW_EXISTENCE)
         return np.where(gone, table.missed_since, np.nan)
 
     def not_lost(self, rows: NDArray[np.bool_]) -> None:

@@ -16,11 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
-
-WINDOW = 100  # detections: at 7 Hz a quarter of a minute of one target, or four seconds of four
-FEWEST = 30
-NORMAL_99 = 2.5758293035489004  # the standard normal's 99.5 % quantile
-SURELY_THERE = 0.95  # existence, before the scan, of a track whose lone detection is taken for its own
+from swarmtrack.tracking.priors import (
+    LONE_DETECTION_EXISTENCE,
+    NIS_LEAST_DETECTIONS,
+    NIS_WINDOW_DETECTIONS,
+    NORMAL_QUANTILE_995,
+)
 
 
 class Consistency(NamedTuple):
@@ -40,15 +41,16 @@ def sure_pairs(log_ratio: Array, existence: Array) -> tuple[NDArray[np.intp], ND
     """
     gated = log_ratio > -np.inf
     alone = gated & (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
-    rows, columns = np.nonzero(alone & (existence > SURELY_THERE)[:, None])
+    rows, columns = np.nonzero(alone & (existence > LONE_DETECTION_EXISTENCE)[:, None])
     return rows, columns
 
 
 class InnovationWindow:
-    """The last `WINDOW` normalised innovations squared, of detections that passed a gate of this probability."""
+    """The last `NIS_WINDOW_DETECTIONS` normalised innovations squared, of detections that passed a gate of this
+    probability."""
 
     def __init__(self, gate_probability: float = 1.0) -> None:
-        self._nis: deque[float] = deque(maxlen=WINDOW)
+        self._nis: deque[float] = deque(maxlen=NIS_WINDOW_DETECTIONS)
         self._mean, self._variance = _moments_within(gate_probability)
 
     def add(self, nis: list[float]) -> None:
@@ -57,11 +59,11 @@ class InnovationWindow:
     def consistency(self) -> Consistency | None:
         """None until there are enough to tell."""
         n = len(self._nis)
-        if n < FEWEST:
+        if n < NIS_LEAST_DETECTIONS:
             return None
         # The sum's distribution is nearly that multiple of a χ² which has its mean and variance.
         scale, degrees = self._variance / (2.0 * self._mean), 2.0 * n * self._mean**2 / self._variance
-        low, high = (scale * _chi2_quantile(sign * NORMAL_99, degrees) / n for sign in (-1.0, 1.0))
+        low, high = (scale * _chi2_quantile(sign * NORMAL_QUANTILE_995, degrees) / n for sign in (-1.0, 1.0))
         return Consistency(math.fsum(self._nis) / n, low, high)
 
 

@@ -31,17 +31,20 @@ from swarmtrack.tracking.association import Indices
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian_tracks import GaussianTracks
-from swarmtrack.tracking.marginals import SMALL, beliefs, matching_marginals
+from swarmtrack.tracking.marginals import beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
-from swarmtrack.tracking.population import FADED
+from swarmtrack.tracking.priors import (
+    FADED_BIRTH_SHARE,
+    GMPHD_CORRELATION_ROUNDING,
+    LARGEST_CLAIM_LOG_RATIO,
+    MARGINALS_SMALL,
+    MAX_EXISTENCE,
+)
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.table import TrackIds
-
-ROUNDING = 1e-9  # added to the diagonal of a correlation: positive definite to the computer, too
-LARGEST_LOG_RATIO = 300.0  # of a detection as a target's: nothing is as certain, and doubles end at 709
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,7 +142,7 @@ class GmPhd(GaussianTracks):
         self._drop(t)  # before the weights: after a long silence a label could take whatever comes next
         newcomers, explained = self._fold_in(t, measured)
         self._drop(t)
-        born = newcomers > FADED * self._sensor.usual_birth
+        born = newcomers > FADED_BIRTH_SHARE * self._sensor.usual_birth
         if born.any():
             self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
             self._add_newest(int(born.sum()))
@@ -186,7 +189,7 @@ class GmPhd(GaussianTracks):
         seen = detected > missed
         if seen.any():
             self._population.learn_looks(t, seen, measured.select(shares.taken[seen].argmax(axis=1)))
-        table.existence = np.minimum(missed + detected, lifecycle.MAX_EXISTENCE)
+        table.existence = np.minimum(missed + detected, MAX_EXISTENCE)
         self._population.judge(t, seen, visibility)
         # A confirmed label that is missed for long keeps a remainder, so that one clear detection brings it back.
         weight *= np.maximum(1.0, table.existence / (missed + detected))[labels.row, None]
@@ -208,7 +211,9 @@ class GmPhd(GaussianTracks):
         newcomer (m,) the probability b / (κ + b) that a detection which no label takes is of a new target."""
         row, starts = labels
         prior, p_detection = self.mixture.weight, p_detection[row]
-        claim = np.exp(np.minimum(log_ratio, LARGEST_LOG_RATIO)) * (1.0 - newcomer)  # over κ + b instead of κ
+        claim = np.exp(np.minimum(log_ratio, LARGEST_CLAIM_LOG_RATIO)) * (
+            1.0 - newcomer
+        )  # over κ + b instead of κ
         claim *= (p_detection * prior)[:, None]
         of_label = sums(claim, starts)
         detectable = sums(p_detection * prior, starts)
@@ -251,7 +256,7 @@ class GmPhd(GaussianTracks):
         table.keep(into == np.arange(len(into)))
         labels = blocks(mixture.label)
         weight = sums(mixture.weight, labels.starts)
-        table.existence = np.minimum(weight, lifecycle.MAX_EXISTENCE)
+        table.existence = np.minimum(weight, MAX_EXISTENCE)
         if self._one_to_one:  # what both claimed was one target
             mixture = mixture._replace(weight=mixture.weight * (table.existence / weight)[labels.row])
         self.mixture = mixture
@@ -273,9 +278,9 @@ def share_one_to_one(claims: Array, detectable: Array) -> Shares:
     It is in the scan with odds claims / (1 − r p_D) for each detection, and missed with probability
     r (1 − p_D) / (1 − r p_D) if it has none. claims (n, m) as in `share`; detectable (n,): Σ w p_D of each label.
     """
-    absent = np.maximum(1.0 - detectable, 1.0 - lifecycle.MAX_EXISTENCE)
+    absent = np.maximum(1.0 - detectable, 1.0 - MAX_EXISTENCE)
     with np.errstate(divide="ignore"):
-        taken = matching_marginals(np.log(claims / absent[:, None]), widest=SMALL, beyond=beliefs)
+        taken = matching_marginals(np.log(claims / absent[:, None]), widest=MARGINALS_SMALL, beyond=beliefs)
     nowhere = np.maximum(1.0 - taken.sum(axis=1), 0.0)
     return Shares(taken, nowhere / absent, np.maximum(1.0 - taken.sum(axis=0), 0.0))
 
@@ -379,7 +384,7 @@ def _in_sigmas_of_the_sharpest(mixture: Mixture, row: Indices, starts: Indices) 
     sharpest[row[is_sharpest]] = is_sharpest
     P = mixture.cov[sharpest]
     sigma = np.sqrt(P[:, [0, 1, 2, 3], [0, 1, 2, 3]])
-    correlation = P / (sigma[:, :, None] * sigma[:, None]) + ROUNDING * np.eye(4)
+    correlation = P / (sigma[:, :, None] * sigma[:, None]) + GMPHD_CORRELATION_ROUNDING * np.eye(4)
     whitening = np.linalg.inv(np.linalg.cholesky(correlation)) / sigma[:, None]
     return np.asarray(np.einsum("ki,kji->kj", mixture.mean, whitening.take(row, axis=0)))
 

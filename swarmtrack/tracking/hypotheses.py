@@ -24,13 +24,11 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.tracking.association import most_likely_matching
+from swarmtrack.tracking.priors import MATCHINGS_BREADTH, MATCHINGS_LEAST_BREADTH, MATCHINGS_ROUNDING
 
 Indices = NDArray[np.intp]
 
 NONE = -1  # the column of a track that made no detection
-BREADTH = 8  # partial matchings kept at once, in multiples of the count wanted
-LEAST_BREADTH = 100
-ROUNDING = 1e-9  # relative: what sums of gains in another order differ by
 
 
 class Matchings(NamedTuple):
@@ -51,14 +49,14 @@ def best_matchings(log_weight: Array, gain: Array, count: int, least: float) -> 
     """
     h, k, m = gain.shape
     depth = -np.log(least)
-    breadth = max(BREADTH * count, LEAST_BREADTH)
+    breadth = max(MATCHINGS_BREADTH * count, MATCHINGS_LEAST_BREADTH)
     price, reached = tightest_prices(log_weight, gain)
     net = np.concatenate([gain - price[:, None], np.zeros((h, k, 1))], axis=2)
     best = net.max(axis=2)
     slack = best[:, :, None] - net
     bound = log_weight + best.sum(axis=1) + price.sum(axis=1)
     floor = reached - depth
-    floor -= ROUNDING * (1.0 + abs(floor) + price.sum(axis=1).max())
+    floor -= MATCHINGS_ROUNDING * (1.0 + abs(floor) + price.sum(axis=1).max())
 
     prior = np.flatnonzero(bound >= floor)
     value = bound[prior]

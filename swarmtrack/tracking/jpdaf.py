@@ -23,7 +23,6 @@ from typing import ClassVar
 import numpy as np
 
 from swarmtrack.messages import Array
-from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian import inverse
@@ -32,14 +31,16 @@ from swarmtrack.tracking.marginals import beliefs, matching_marginals
 from swarmtrack.tracking.motion_model import POSITION, VELOCITY
 from swarmtrack.tracking.noise import pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
-from swarmtrack.tracking.population import FADED
+from swarmtrack.tracking.priors import (
+    FADED_BIRTH_SHARE,
+    JPDAF_DETECTED_SHARE,
+    JPDAF_DOUBLE_EXISTENCE,
+    JPDAF_DOUBLE_GATE,
+    JPDAF_LEAST_EXISTENCE,
+    MAX_EXISTENCE,
+)
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.table import TrackIds
-
-LEAST_EXISTENCE = 1e-12
-DOUBTFUL = 0.95  # existence of a confirmed track below which it may be a double of another
-ONE_PLACE = 4.0  # squared distance, in the sigmas of two tracks, of which half of all pairs on one target are below 3.4
-SEEN = 0.5  # share of all detections, from which on a scan counts as having detected a track
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,7 +76,7 @@ class Jpdaf(GaussianTracks):
         self._population.drop(t)
         newcomers, explained = self._associate(t, measured)
         self._population.drop(t)
-        born = newcomers > FADED * self._sensor.usual_birth
+        born = newcomers > FADED_BIRTH_SHARE * self._sensor.usual_birth
         if born.any():
             self.table.append(self._population.born(t, measured.select(born), newcomers[born]))
         return explained
@@ -94,7 +95,7 @@ class Jpdaf(GaussianTracks):
 
         detected = np.minimum(share.sum(axis=1), 1.0)
         missed = (1.0 - detected) * (table.existence - detectable) / (1.0 - detectable)
-        existence = np.maximum(detected + missed, LEAST_EXISTENCE)
+        existence = np.maximum(detected + missed, JPDAF_LEAST_EXISTENCE)
         table.mean, table.cov = combined(
             table.mean, table.cov, measured.z, measured.R, share / existence[:, None]
         )
@@ -102,8 +103,8 @@ class Jpdaf(GaussianTracks):
         for of_each in (existence, detected):
             of_each[older] += of_each[younger]
             of_each[younger] = 0.0
-        table.existence = np.minimum(existence, lifecycle.MAX_EXISTENCE)
-        seen = detected >= SEEN
+        table.existence = np.minimum(existence, MAX_EXISTENCE)
+        seen = detected >= JPDAF_DETECTED_SHARE
         if seen.any():
             best = share[seen].argmax(axis=1)
             self._population.learn_looks(t, seen, measured.select(best))
@@ -118,7 +119,7 @@ class Jpdaf(GaussianTracks):
         Left alone, chance would decide which of the two dies, or both would live for ever by halves.
         """
         table = self.table
-        doubtful = np.flatnonzero(table.confirmed & (existence < DOUBTFUL))
+        doubtful = np.flatnonzero(table.confirmed & (existence < JPDAF_DOUBLE_EXISTENCE))
         if len(doubtful) < 2 or not self._parameters.end_doubles:
             return [], []
         together = existence[doubtful, None] + existence[doubtful]
@@ -128,7 +129,9 @@ class Jpdaf(GaussianTracks):
         distance = (d * np.linalg.solve(table.cov[i] + table.cov[j], d[:, :, None])[:, :, 0]).sum(axis=1)
         older: list[int] = []
         younger: list[int] = []
-        for a, b in zip(i[distance < ONE_PLACE].tolist(), j[distance < ONE_PLACE].tolist(), strict=True):
+        for a, b in zip(
+            i[distance < JPDAF_DOUBLE_GATE].tolist(), j[distance < JPDAF_DOUBLE_GATE].tolist(), strict=True
+        ):
             if not {a, b} & {*older, *younger}:
                 older.append(a)
                 younger.append(b)

@@ -14,18 +14,7 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import POSITION
-
-MAX_EXISTENCE = 1.0 - 1e-6
-# A detector misses in bursts (a drone before a tree, behind another), which the recursion takes for proof of absence.
-# Existence of a confirmed track stops here, so that one clear detection brings it back; time ends it, not misses.
-MIN_CONFIRMED_EXISTENCE = 0.05
-LOST_BELOW = 0.1  # existence of a missed track: rather hidden or gone than there
-# Focal lengths: in the tangent plane 80 degrees off the axis, in a wide lens' stereographic one 141. A pixel further
-# out covers next to nothing, and every turn of the camera would multiply the covariance of what is there, without
-# bound, until it comes back.
-MAX_SLANT = 5.7
-MAX_SIGMA = 10.0  # times the longer side of the image: who may be anywhere is nowhere
-SURELY = 8.5  # sigmas inside the image, where a double tells the probability from one no more
+from swarmtrack.tracking.priors import MAX_EXISTENCE, MAX_SIGMA_IMAGES, MAX_SLANT, SURELY_INSIDE_SIGMAS
 
 
 def survive(existence: Array, dt: float, p_survival: float) -> Array:
@@ -45,7 +34,7 @@ def probability_in_view(mean: Array, cov: Array, camera: PinholeCamera) -> Array
     sigma = np.sqrt(np.maximum(cov.diagonal(axis1=1, axis2=2)[:, POSITION], 1e-12)) * scale
     low, high = camera.frame_bounds
     above, below = at - low, high - at
-    surely = np.minimum(above, below) > SURELY * sigma
+    surely = np.minimum(above, below) > SURELY_INSIDE_SIGMAS * sigma
     inside = np.ones(len(mean))
     if not surely.all():
         near = ~surely.all(axis=1)
@@ -80,7 +69,7 @@ def within_reach(mean: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
 
 def largest_variance(camera: PinholeCamera) -> float:
     """px² of a position that is known at all."""
-    return float((MAX_SIGMA * max(camera.width, camera.height)) ** 2)
+    return float((MAX_SIGMA_IMAGES * max(camera.width, camera.height)) ** 2)
 
 
 def is_placed(cov: Array, camera: PinholeCamera) -> NDArray[np.bool_]:

@@ -24,6 +24,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import Turn, add_flow_of_error, turn_exactly
 from swarmtrack.tracking.noise import SurePairs, whitened
+from swarmtrack.tracking.priors import MANOEUVRE_LEAST_MODE, MANOEUVRE_SHORT_STEP
 
 CALM, AGILE = 0, 1
 KINEMATIC = slice(0, 4)
@@ -37,8 +38,6 @@ for _axis in ((0, 1, 4), (2, 3, 5)):
     ENTRY[np.ix_(_axis, _axis)] = np.arange(9).reshape(3, 3)
 # signs: the inverse of a 2 × 2 is turned round, over its determinant
 ADJUGATE = np.array([[1.0, -1.0], [-1.0, 1.0]])
-LEAST_MODE = 1e-12  # a mode's probability never underflows: nothing would bring it back, and 0 / 0 is next
-SHORT = 0.5  # share of an acceleration's time, up to which the process noise is integrated: its closed form cancels
 # Gauss-Legendre nodes and weights on 0…1: with five, exact to 2e-12 for such steps.
 NODES, WEIGHTS = (0.5 * np.array(np.polynomial.legendre.leggauss(5)) + [[0.5], [0.0]]).tolist()
 
@@ -226,7 +225,7 @@ def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, ModeI
     log_likelihood = -0.5 * (distance + np.log(determinant))
     fitted = mixture.mode * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     mode = fitted / fitted.sum(axis=1, keepdims=True)
-    mode = LEAST_MODE + (1.0 - mode.shape[1] * LEAST_MODE) * mode
+    mode = MANOEUVRE_LEAST_MODE + (1.0 - mode.shape[1] * MANOEUVRE_LEAST_MODE) * mode
     of_R = 0.5 * (R[:, 0].diagonal(axis1=1, axis2=2) / S[:, CALM].diagonal(axis1=1, axis2=2)).sum(axis=1)
     fit = ModeInnovations(
         whitened(y[:, CALM], S[:, CALM]), of_R, mode[:, CALM], (mode * distance).sum(axis=1)
@@ -287,7 +286,7 @@ def transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
 def _singer_noise(dt: float, rate: float, variance: float) -> tuple[float, ...]:
     """Covariance of position, velocity and acceleration after dt, of what began within it: pp, pv, pa, vv, va, aa."""
     x = rate * dt
-    if x < SHORT:
+    if x < MANOEUVRE_SHORT_STEP:
         pp = pv = pa = vv = va = aa = 0.0
         for node, weight in zip(NODES, WEIGHTS, strict=True):
             p, v, a = _reach(node * dt, rate)  # what an impulse that long ago has done

@@ -17,11 +17,11 @@ of rows open at once, so columns are ordered to keep it small, and pairs that sh
 passes are the forward-backward recursion over the joint events of JPDA (Fortmann, Bar-Shalom & Scheffe, 1983). In a
 small cluster all rows may as well be open all the time: then both passes are the same few products of small matrices.
 
-Where more than `WIDEST` rows would be open, pairs are left out of the sweep until no more are: those that loopy belief
-propagation (Williams & Lau, "Approximate evaluation of marginal association probabilities with belief propagation",
-IEEE T-AES 50(4), 2014, eqs. 10-11) thinks least likely. It always converges, but alone it is too sure of itself where
-many pairs compete; a pair left out keeps its belief, and so much less is there for the others of its row and column.
-Who has no time for that, as a tracker between two images, takes the beliefs as they are: `beyond=beliefs`.
+Where more than `MARGINALS_MOST_OPEN_ROWS` rows would be open, pairs are left out of the sweep until no more are: those
+that loopy belief propagation (Williams & Lau, "Approximate evaluation of marginal association probabilities with belief
+propagation", IEEE T-AES 50(4), 2014, eqs. 10-11) thinks least likely. It always converges, but alone it is too sure of
+itself where many pairs compete; a pair left out keeps its belief, and so much less is there for the others of its row
+and column. Who has no time for that, as a tracker between two images, takes the beliefs as they are: `beyond=beliefs`.
 """
 
 from __future__ import annotations
@@ -37,15 +37,19 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.tracking.association import most_likely_matching
+from swarmtrack.tracking.priors import (
+    BELIEF_CUTS,
+    BELIEF_ITERATIONS,
+    BELIEF_TOLERANCE,
+    MARGINALS_LARGEST_EXPONENT,
+    MARGINALS_LARGEST_LOG_RATIO,
+    MARGINALS_MOST_OPEN_ROWS,
+    MARGINALS_SMALL,
+    MARGINALS_UNORDERED,
+)
 
-WIDEST = 13  # rows open at once: 8192 sets, some milliseconds
-SMALL, NOT_WORTH_ORDERING = 9, 12
 """Up to so many rows all are open all the time: without asking, and where an order of the columns closes one at
 most."""
-LARGEST_EXPONENT = 600.0  # of a product of one ratio for each open row: a double ends at 709
-LARGEST_LOG_RATIO = 1e6  # e to this: nothing is more certain
-BELIEF_ITERATIONS, BELIEF_TOLERANCE = 200, 1e-6
-LEAST_BELIEF = np.geomspace(1e-6, 0.51, 40)
 """What a pair must be believed to be swept: the first that leaves few enough rows open. Above 0.5 nobody has two."""
 
 Beyond = Callable[[Array, int], Array]
@@ -80,7 +84,9 @@ class IndependentBlock(NamedTuple):
     columns: NDArray[np.intp]
 
 
-def matching_marginals(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | None = None) -> Array:
+def matching_marginals(
+    log_ratio: Array, widest: int = MARGINALS_MOST_OPEN_ROWS, beyond: Beyond | None = None
+) -> Array:
     """The probability (n, m) of each pair; what a row lacks to one is that of "none of them".
 
     log_ratio (n, m): log r, −inf forbids a pair. Where more rows than `widest`, one or more, would be open, the
@@ -89,7 +95,9 @@ def matching_marginals(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | 
     return matched(log_ratio, widest, beyond).probability
 
 
-def matched(log_ratio: Array, widest: int = WIDEST, beyond: Beyond | None = None) -> Matched:
+def matched(
+    log_ratio: Array, widest: int = MARGINALS_MOST_OPEN_ROWS, beyond: Beyond | None = None
+) -> Matched:
     """As `matching_marginals`, with the weight of all matchings: how well these ratios explain what is matched.
 
     Of pairs that were left out of the sweep, and of what `beyond` answers, it is no more than a lower bound.
@@ -153,7 +161,7 @@ def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond | None) -> Matched
     if m == 1:
         return _transposed(_of_choices(log_ratio.T))
     fewer = min(n, m)
-    if fewer <= min(widest, SMALL):
+    if fewer <= min(widest, MARGINALS_SMALL):
         return _swept_at_once(log_ratio)
     allowed = log_ratio > -np.inf
     by_columns, width = _sweep_order(allowed, widest)
@@ -161,7 +169,7 @@ def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond | None) -> Matched
     narrower = min(width, width_transposed)
     if narrower > widest:
         return _of_thinned(log_ratio, widest) if beyond is None else Matched(beyond(log_ratio, widest), 0.0)
-    if fewer <= min(narrower + 1, NOT_WORTH_ORDERING):
+    if fewer <= min(narrower + 1, MARGINALS_UNORDERED):
         return _swept_at_once(log_ratio)
     weights = _weights(log_ratio, narrower)
     if width_transposed < width:
@@ -187,7 +195,7 @@ def _of_thinned(log_ratio: Array, widest: int) -> Matched:
     def is_narrow(least: float) -> bool:
         return min(_sweep_order(swept(least), widest)[1], _sweep_order(swept(least).T, widest)[1]) <= widest
 
-    kept = swept(LEAST_BELIEF[bisect_left(LEAST_BELIEF, True, key=is_narrow, hi=len(LEAST_BELIEF) - 1)])
+    kept = swept(BELIEF_CUTS[bisect_left(BELIEF_CUTS, True, key=is_narrow, hi=len(BELIEF_CUTS) - 1)])
     left_out = np.where(kept, 0.0, belief)
     remaining = 1.0 - np.maximum(left_out.sum(axis=1)[:, None], left_out.sum(axis=0))
     given_none, log_total = matched(np.where(kept, log_ratio, -np.inf), widest)
@@ -232,9 +240,9 @@ def _weights(log_ratio: Array, width: int) -> Weights:
     the dual prices of the most likely matching: its weight becomes one, and no factor is above one.
     """
     n, m = log_ratio.shape
-    if log_ratio.max() <= LARGEST_EXPONENT / width:
+    if log_ratio.max() <= MARGINALS_LARGEST_EXPONENT / width:
         return Weights(np.exp(log_ratio), np.ones(n), np.ones(m), 0.0)
-    log_ratio = np.minimum(log_ratio, LARGEST_LOG_RATIO)
+    log_ratio = np.minimum(log_ratio, MARGINALS_LARGEST_LOG_RATIO)
     rows, columns = most_likely_matching(log_ratio)
     profit, price = np.zeros(n), np.zeros(m)
     # Prices rise along paths of the matching, none of which has more rows (Bellman & Ford).
@@ -398,7 +406,7 @@ def _with(sets: Array, bit: int) -> Array:
 def beliefs(log_ratio: Array, widest: int = 0) -> Array:
     """Approximate p (n, m) by loopy belief propagation, however wide."""
     n, m = log_ratio.shape
-    ratio = np.exp(np.minimum(log_ratio, LARGEST_EXPONENT / 2.0))
+    ratio = np.exp(np.minimum(log_ratio, MARGINALS_LARGEST_EXPONENT / 2.0))
     # Sums over all others, not over all less one: of ratios this different the difference would be rounding alone.
     other_rows, other_columns = 1.0 - np.eye(n), 1.0 - np.eye(m)
     to_rows = np.ones_like(ratio)

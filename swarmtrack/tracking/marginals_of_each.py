@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
-from swarmtrack.tracking.marginals import LARGEST_EXPONENT, independent_blocks, matched
-
-# Rows up to which all sets of them are kept: 32 sets.
-MOST_ROWS = 5
+from swarmtrack.tracking.marginals import independent_blocks, matched
+from swarmtrack.tracking.priors import MARGINALS_LARGEST_EXPONENT, MARGINALS_OF_EACH_MOST_ROWS
 
 
 class MatchedOfEach(NamedTuple):
@@ -44,7 +42,7 @@ def _of_block(log_ratio: Array) -> MatchedOfEach:
     if n > m:
         probability, log_total = _of_block(log_ratio.swapaxes(1, 2))
         return MatchedOfEach(probability.swapaxes(1, 2), log_total)
-    if n > MOST_ROWS or log_ratio.max() > LARGEST_EXPONENT / n:
+    if n > MARGINALS_OF_EACH_MOST_ROWS or log_ratio.max() > MARGINALS_LARGEST_EXPONENT / n:
         each = [matched(ratios) for ratios in log_ratio]
         return MatchedOfEach(
             np.array([found.probability for found in each]), np.array([found.log_total for found in each])

@@ -33,27 +33,28 @@ from swarmtrack.tracking import clusters, lifecycle, manoeuvre
 from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
-from swarmtrack.tracking.consistency import SURELY_THERE
 from swarmtrack.tracking.hypotheses import NONE, best_matchings
 from swarmtrack.tracking.manoeuvre import AS_TOLD, PLACE, AgileLevel, Manoeuvres, ModeInnovations, ModeMixture
 from swarmtrack.tracking.motion_model import POSITION, Course, FadingAcceleration
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
 from swarmtrack.tracking.population import Population, blend_sizes
+from swarmtrack.tracking.priors import (
+    LARGEST_CLAIM_LOG_RATIO,
+    LONE_DETECTION_EXISTENCE,
+    MAX_EXISTENCE,
+    MBM_GENTLE_MANOEUVRE_SHARE,
+    MBM_LEAST_AVAILABLE,
+    MBM_LEAST_OVERLAP,
+    MBM_ORDINARY_FLOW_PX,
+    MBM_SAME_LEAF_SIGMAS,
+    MIN_CONFIRMED_EXISTENCE,
+)
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility
 from swarmtrack.tracking.table import TrackIds, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
 
 Indices = NDArray[np.intp]
-
-LARGEST_LOG_RATIO = 300.0  # of a tentative track's claim: nothing is as certain, and doubles end at 709
-LEAST_AVAILABLE = 1e-3  # a detection that the confirmed tracks take more surely than that is nobody else's
-SAME = 0.25  # standard deviations within which two leaves of a track say the same
-OFTEN_GENTLE = 0.9  # share of manoeuvres, where nobody knows how hard they are
-ORDINARY_FLOW = (
-    1.0  # px: by which the gyro's noise moves a target from scan to scan; beyond it something was wrong
-)
-LEAST_OVERLAP = 1e-9  # of a track with all others: below it, nobody is near
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -119,7 +120,9 @@ class MbmParameters(CommonParameters):
     def _levels(self) -> tuple[AgileLevel, ...]:
         if self.learn_noise != "both" or self.gentle_share == 1.0:
             return AS_TOLD
-        return AgileLevel(self.gentle_share, OFTEN_GENTLE), AgileLevel(1.0, 1.0 - OFTEN_GENTLE)
+        return AgileLevel(self.gentle_share, MBM_GENTLE_MANOEUVRE_SHARE), AgileLevel(
+            1.0, 1.0 - MBM_GENTLE_MANOEUVRE_SHARE
+        )
 
     @property
     def manoeuvres(self) -> Manoeuvres:
@@ -210,7 +213,7 @@ class Mbm:
         self._parameters = parameters
         self._manoeuvres = parameters.manoeuvres
         self._turn = TURNS[parameters.profile]
-        self._ordinary = (ORDINARY_FLOW / sensor.camera.fx) ** 2
+        self._ordinary = (MBM_ORDINARY_FLOW_PX / sensor.camera.fx) ** 2
         self._depth = -math.log(parameters.least_weight)
         self._population = Population(sensor, parameters, ids)
         nobody = manoeuvre.begun(np.empty((0, 4)), np.empty((0, 4, 4)), self._manoeuvres)
@@ -318,7 +321,7 @@ class Mbm:
         # would sooner or later be found in whatever looks a little like a drone, again and again.
         confirmed = table.confirmed[leaves.owner]
         if not confirmed.all():
-            claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_LOG_RATIO))
+            claim = np.exp(np.minimum(ratio[~confirmed], LARGEST_CLAIM_LOG_RATIO))
             gain[confirmed] -= np.log1p(p_detected[~confirmed] @ claim)
         gain[gain < -self._depth] = -np.inf  # to have made none is likelier by more than what is kept
         return Weighed(visibility, merging, misdrawn, ratio, gain, missed)
@@ -390,7 +393,7 @@ class Mbm:
         resolution = self._sensor.resolutions(self.table.mean, self.table.size)
         reach = 0.25 * (resolution[None] + resolution[:, None])
         half = np.clip(0.5 * (position[None] - position[:, None]), -reach, reach)
-        share = overlap / np.maximum(overlap.sum(axis=1, keepdims=True), LEAST_OVERLAP)
+        share = overlap / np.maximum(overlap.sum(axis=1, keepdims=True), MBM_LEAST_OVERLAP)
         return np.asarray((share[:, :, None] * half).swapaxes(1, 2) @ half)
 
     # --- who made what ------------------------------------------------------------------------------
@@ -500,7 +503,7 @@ class Mbm:
         leaves = self.best[~self.table.confirmed]
         if not len(leaves):
             return Association(leaves, leaves)
-        left = np.flatnonzero(taken < 1.0 - LEAST_AVAILABLE)
+        left = np.flatnonzero(taken < 1.0 - MBM_LEAST_AVAILABLE)
         p_detection = weighed.visibility.p_detection[self.leaves.owner[leaves]]
         with np.errstate(divide="ignore"):
             odds = np.log(p_detection / (1.0 - p_detection))
@@ -566,7 +569,7 @@ class Mbm:
         gated = weighed.ratio > -np.inf
         gated &= self.table.confirmed[self.leaves.owner][:, None]
         gated &= (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
-        gated[self.leaves.existence <= SURELY_THERE] = False
+        gated[self.leaves.existence <= LONE_DETECTION_EXISTENCE] = False
         return gated
 
     def _alone_in_dispute(self, weighed: Weighed) -> NDArray[np.bool_]:
@@ -580,7 +583,7 @@ class Mbm:
         gated &= (gated.sum(axis=1, keepdims=True) == 1) & (gated.sum(axis=0) == 1)
         alone = np.zeros_like(weighed.ratio, np.bool_)
         alone[self.best] = gated & (weighed.ratio[self.best] > -np.inf)
-        alone[leaves.existence <= SURELY_THERE] = False
+        alone[leaves.existence <= LONE_DETECTION_EXISTENCE] = False
         return alone
 
     def _gated(self, weighed: Weighed) -> NDArray[np.bool_]:
@@ -619,9 +622,9 @@ class Mbm:
         )
         existence = lifecycle.reweigh(before.existence, likelihood)
         confirmed = self.table.confirmed.take(owner)
-        existence = np.maximum(existence, np.where(confirmed, lifecycle.MIN_CONFIRMED_EXISTENCE, 0.0))
+        existence = np.maximum(existence, np.where(confirmed, MIN_CONFIRMED_EXISTENCE, 0.0))
         # The hypotheses' weights tell whether it made it.
-        existence[hit[confirmed.take(hit)]] = lifecycle.MAX_EXISTENCE
+        existence[hit[confirmed.take(hit)]] = MAX_EXISTENCE
         return Leaves(owner, motion, existence, size), fit
 
     def _weigh_existence(self, shown: Association, weighed: Weighed, taken: Array) -> None:
@@ -633,7 +636,7 @@ class Mbm:
         leaf, column = shown.leaf.take(hit), shown.column.take(hit)
         ratio = weighed.ratio[leaf, column]
         left = np.where(self.table.confirmed.take(hit), 1.0, 1.0 - taken.take(column))
-        likelihood[hit] += p_detection.take(hit) * np.exp(np.minimum(ratio, LARGEST_LOG_RATIO)) * left
+        likelihood[hit] += p_detection.take(hit) * np.exp(np.minimum(ratio, LARGEST_CLAIM_LOG_RATIO)) * left
         self.table.existence = lifecycle.reweigh(self.table.existence, likelihood)
 
     def _keep(self, leaves: Leaves, settled: Indices, continued: list[Cluster]) -> Indices:
@@ -747,7 +750,7 @@ def _without_doubles(cluster: Cluster, leaves: Leaves) -> Cluster:
     mean, cov = manoeuvre.merged(leaves.motion.take(rows[likeliest]))
     apart = np.abs(mean[:, None] - mean[None]) / np.sqrt(np.einsum("nii->ni", cov))[None]
     owner = leaves.owner[rows[likeliest]]
-    same = (owner[:, None] == owner[None]) & (apart.max(axis=2) < SAME)
+    same = (owner[:, None] == owner[None]) & (apart.max(axis=2) < MBM_SAME_LEAF_SIGMAS)
     double_of = same.argmax(axis=1)  # the first, which is the likeliest; of itself if there is none before
     double_of = double_of[double_of]
     representative = np.empty_like(rows)

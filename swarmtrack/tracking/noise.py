@@ -31,25 +31,21 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.tracking.gaussian import variances
 from swarmtrack.tracking.motion_model import POSITION
+from swarmtrack.tracking.priors import (
+    LOG_Q_PRIOR_SIGMA,
+    LOG_R_PRIOR_SIGMA,
+    MEASURED_SCALE_INFORMATION,
+    NOISE_CLASS_KEPT,
+    NOISE_CLASS_SIDES_PX,
+    NOISE_NEWTON_STEPS,
+    NOISE_NEWTON_TOLERANCE,
+    PIXEL_SIGMA_PX,
+    Q_SCALE_BOUNDS,
+    R_SCALE_BOUNDS,
+    WINSOR_LIMIT,
+)
 
-# px, mean side of a box, between one class of sizes and the next. A point is a class too: its side is NaN, which is
-# sorted behind infinity.
-CLASSES = np.array([16.0, 32.0, 64.0, math.inf])
-POINTS = len(CLASSES)
-MEMORY = 200.0  # detections of a class after which an old one counts for 1/e
-KEPT = 1.0 - 1.0 / MEMORY
-PRIOR_LOG_R = math.log(
-    4.0
-)  # standard deviation of the logarithm of R's true scale: sigma is told within a factor of 2
-PRIOR_LOG_Q = math.log(10.0)
-KNOWN = 10.0  # times the prior's information, from which on a scale is measured rather than told
-# Of variances. Below: the shipped detector is ten times better from frame to frame than it is told to be (decision 21),
-# and no drone hovers more quietly than with 0.06 m/s² for a second, which is a hundredth of the calm model's default.
-BOUNDS_R, BOUNDS_Q = (0.01, 10.0), (0.01, 10.0)
-LEAST_SIGMA = 0.25  # px: a box has edges of whole pixels
-LARGEST = 5.0  # of u, and of r in size: Winsor's limit, which costs 0.7 % in the mean
-STEPS = 8  # of Newton's method at most; one or two from the value before
-ROUNDING = 1e-9
+POINTS = len(NOISE_CLASS_SIDES_PX)
 
 
 Rows = tuple[NDArray[np.intp], NDArray[np.intp]]
@@ -87,21 +83,21 @@ class Scale:
     @property
     def is_known(self) -> bool:
         """Whether it is measured rather than told."""
-        return self._weight > KNOWN * self._precision
+        return self._weight > MEASURED_SCALE_INFORMATION * self._precision
 
     def add(self, ratio: float, information: float) -> None:
         """One detection says that the variance is `ratio` times what it was assumed to be, which is `value`."""
-        self._weight = KEPT * self._weight + information
-        self._sum = KEPT * self._sum + information * ratio * self.value
+        self._weight = NOISE_CLASS_KEPT * self._weight + information
+        self._sum = NOISE_CLASS_KEPT * self._sum + information * ratio * self.value
 
     def settle(self) -> None:
         """Newton's method on N ℓ + A exp(−ℓ) + ℓ² / (2 τ²), which is convex in ℓ = ln λ."""
         total, log = max(self._sum, 0.0), math.log(self.value)
-        for _ in range(STEPS):
+        for _ in range(NOISE_NEWTON_STEPS):
             fit = total * math.exp(-log)
             step = (self._weight - fit + self._precision * log) / (fit + self._precision)
             log = min(max(log - step, self._least), self._most)
-            if abs(step) < ROUNDING:
+            if abs(step) < NOISE_NEWTON_TOLERANCE:
                 break
         self.value = math.exp(log)
 
@@ -118,8 +114,8 @@ class NoiseScales:
     """By what R, per class of sizes, and the calm motion's noise are multiplied. motion: whether that is learned."""
 
     def __init__(self, *, motion: bool) -> None:
-        self._R = [Scale(PRIOR_LOG_R, *BOUNDS_R) for _ in range(POINTS + 1)]
-        self._Q = Scale(PRIOR_LOG_Q, *BOUNDS_Q)
+        self._R = [Scale(LOG_R_PRIOR_SIGMA, *R_SCALE_BOUNDS) for _ in range(POINTS + 1)]
+        self._Q = Scale(LOG_Q_PRIOR_SIGMA, *Q_SCALE_BOUNDS)
         self._learns_motion = motion
         self._before: dict[int, tuple[float, float, float]] = {}
         """Of each track, the whitened innovation of the scan before, and its weight."""
@@ -143,7 +139,7 @@ class NoiseScales:
         scale = np.array([scale.value for scale in self._R])[size_class(size)]
         R = R * scale[:, None, None]
         variance = variances(R)
-        np.maximum(variance, LEAST_SIGMA**2, out=variance)
+        np.maximum(variance, PIXEL_SIGMA_PX**2, out=variance)
         return R
 
     def learn(self, pairs: SurePairs, size: Array, *, steady: bool) -> None:
@@ -156,8 +152,8 @@ class NoiseScales:
             self._before[track] = (x, y, weight)
             if last is None:
                 continue
-            u = min(0.5 * (x * x + y * y), LARGEST)
-            r = min(max(0.5 * (x * last[0] + y * last[1]), -LARGEST), LARGEST)
+            u = min(0.5 * (x * x + y * y), WINSOR_LIMIT)
+            r = min(max(0.5 * (x * last[0] + y * last[1]), -WINSOR_LIMIT), WINSOR_LIMIT)
             both = weight * last[2]
             if steady:
                 self._R[kind].add(u - r, both * share * (1.0 if self._learns_motion else share))
@@ -183,7 +179,7 @@ def pairs_of(
 def size_class(size: Array) -> NDArray[np.intp]:
     """(n,) of boxes (n, 2) px; NaN for points."""
     side = np.sqrt(size[:, 0] * size[:, 1])
-    return CLASSES.searchsorted(side)
+    return NOISE_CLASS_SIDES_PX.searchsorted(side)
 
 
 def whitened(y: Array, S: Array) -> Array:

@@ -8,11 +8,7 @@ import numpy as np
 
 from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import POSITION
-
-# Of their mean side: two boxes whose centres are closer than that are hardly told apart. At 0.38 sides the shipped
-# detector finds both in half the frames (`swarmtrack bench detection-noise`), and so does the model.
-OVERLAPPING = 0.45
-FAR = 4.0  # sigmas: what is further apart is resolved, to one part in three thousand
+from swarmtrack.tracking.priors import RESOLVED_SIGMAS, UNRESOLVED_SIDES
 
 
 def resolutions(size: Array, least: float) -> Array:
@@ -20,7 +16,7 @@ def resolutions(size: Array, least: float) -> Array:
 
     size (n, 2) px of their boxes, NaN while unknown; least px: that of points.
     """
-    return np.fmax(OVERLAPPING * size, least)
+    return np.fmax(UNRESOLVED_SIDES * size, least)
 
 
 def unresolved(mean: Array, cov: Array, resolution: Array) -> Array:
@@ -35,7 +31,7 @@ def unresolved(mean: Array, cov: Array, resolution: Array) -> Array:
     if n < 2 or not resolution.any():
         return result
     position, sigma = mean[:, POSITION], np.sqrt(cov.diagonal(axis1=1, axis2=2)[:, POSITION])
-    reach = FAR * (resolution / math.sqrt(8.0) + sigma)
+    reach = RESOLVED_SIGMAS * (resolution / math.sqrt(8.0) + sigma)
     pairs = _overlapping(position - reach, position + reach)
     if not pairs:
         return result

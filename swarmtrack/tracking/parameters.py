@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from swarmtrack.tracking.priors import MAX_LAG_S
+
 PROFILES = ("default", "paper")
 NOISE_LEARNING = ("no", "upwards", "both")
-MAX_LAG_S = 10.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

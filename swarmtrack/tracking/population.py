@@ -13,30 +13,28 @@ from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.parameters import CommonParameters
+from swarmtrack.tracking.priors import (
+    BOX_JUMP_S,
+    BOX_SIZE_MEMORY,
+    DETECTED_EXISTENCE,
+    DOUBTFUL_COAST_SHARE,
+    FADED_BIRTH_SHARE,
+    FRAME_TIME_ROUNDING_S,
+    INDEPENDENT_LOOK_S,
+    LIKENESS_MEMORY_LOOKS,
+    LIKENESS_SIGMA_LOG_ODDS,
+    LOST_BELOW_EXISTENCE,
+    MAX_EXISTENCE,
+    MIN_CONFIRMED_EXISTENCE,
+    MOST_HIDDEN_SHARE,
+    OUT_OF_VIEW_PROBABILITY,
+    OUTLYING_GATES,
+    REPEATED_LOOK_WEIGHT,
+    UNDETECTED_DOUBT_GAIN,
+    UNKNOWN_BOX_SIGMAS,
+)
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel, Visibility, within
 from swarmtrack.tracking.table import TrackIds, TrackTable
-
-SIZE_MEMORY = 0.8  # share of the old box size that a new detection leaves: boxes jitter, drones grow slowly
-UNKNOWN_BOX_SIGMAS = 6.0  # side of a box that no detector told, in sigmas of its centre
-SURELY_SEEN = 0.997  # existence, after a detection, that says the track was there: clutter keeps nobody alive
-DOUBT = 0.9  # of `max_coast_s`, that a doubtful detection is counted as older than it is
-JUMP_S = (
-    0.25  # for which a track may be off its own box: as long as the detector sees but a part of its drone
-)
-ROUNDING_S = 1e-6  # of times that are sums of frame periods
-# times the gate, in squared sigmas: up to here a detection may be the track's own although it seemed not to be
-OUTLYING = 4.0
-LOOK_S = 0.1  # looks that follow each other sooner are alike, and count for less
-LEAST_LOOK = 1e-6  # what a look at once counts: a track that was told, and is seen at that very time
-MANY_LOOKS = 30.0  # over which the likeness is a mean
-# Log odds by which a mean is better or worse than it should be, for one look: one sigma of those of a real drone.
-LUCK = 0.5
-# A tenth of a chance that a track made no detection is full doubt. Clutter is seldom better than that: it keeps nobody.
-CERTAINTY = 10.0
-# Of the time since the last scan: who is hidden coasts for three times as long at most.
-MOST_EXCUSED = 2.0 / 3.0
-NOWHERE = 1e-9  # a probability of being in view that is as good as none
-FADED = 0.05  # share of its existence at birth, below which a tentative track ends
 
 
 class Population:
@@ -55,7 +53,7 @@ class Population:
         """Confirmed tracks at known places (n, 2) px. Returns their ids."""
         n = len(points)
         R, unknown = np.tile(self._sensor.R, (n, 1, 1)), np.full((n, 2), np.nan)
-        surely = np.full(n, lifecycle.MAX_EXISTENCE)
+        surely = np.full(n, MAX_EXISTENCE)
         newcomers = self.born(t, Measurements(points, R, unknown, np.ones(n), np.full(n, np.inf)), surely)
         newcomers.confirmed[:] = True
         self.table.append(newcomers)
@@ -92,32 +90,34 @@ class Population:
     def learn_likeness(self, t: float, rows: NDArray[np.intp] | NDArray[np.bool_], likeness: Array) -> None:
         """Of these rows (k), from that (k) of the detections that they made at t."""
         table = self.table
-        new = within((t - table.looked[rows]) / LOOK_S, LEAST_LOOK, 1.0)
-        looks = np.minimum(table.looks[rows], MANY_LOOKS - new)
+        new = within((t - table.looked[rows]) / INDEPENDENT_LOOK_S, REPEATED_LOOK_WEIGHT, 1.0)
+        looks = np.minimum(table.looks[rows], LIKENESS_MEMORY_LOOKS - new)
         table.likeness[rows] = (looks * table.likeness[rows] + new * likeness) / (looks + new)
         table.looks[rows], table.looked[rows] = looks + new, t
 
     def judge(self, t: float, seen: NDArray[np.bool_], visibility: Visibility) -> None:
         """After a scan at t that saw these rows (n,) and has reweighed existence: who is confirmed, who is lost."""
         table = self.table
-        is_drone = table.likeness >= LUCK / np.sqrt(table.looks)
+        is_drone = table.likeness >= LIKENESS_SIGMA_LOG_ODDS / np.sqrt(table.looks)
         table.confirmed |= is_drone & (table.existence >= self._parameters.confirm_probability)
-        floor = np.where(table.confirmed, lifecycle.MIN_CONFIRMED_EXISTENCE, 0.0)
+        floor = np.where(table.confirmed, MIN_CONFIRMED_EXISTENCE, 0.0)
         table.existence = np.maximum(table.existence, floor)
         # A detection that leaves it open whether the track is there keeps it for a moment, to be detected once more.
-        confident = np.where(table.existence >= SURELY_SEEN, t, t - DOUBT * self._parameters.max_coast_s)
+        confident = np.where(
+            table.existence >= DETECTED_EXISTENCE, t, t - DOUBTFUL_COAST_SHARE * self._parameters.max_coast_s
+        )
         table.last_seen = np.where(seen, np.maximum(table.last_seen, confident), table.last_seen)
         table.missed_since = np.where(seen, np.nan, np.fmin(table.missed_since, t))
-        table.lost = ~seen & ((table.existence < lifecycle.LOST_BELOW) | (visibility.in_view < 0.5))
+        table.lost = ~seen & ((table.existence < LOST_BELOW_EXISTENCE) | (visibility.in_view < 0.5))
 
     def credit(self, t: float, made: Array) -> None:
         """After `judge`, for trackers that put off who made what: a confirmed track that very likely made a detection
         lives on, although the published story, or too few detections of late, leave it in doubt. made (n,): how surely
         each made a detection of the scan at t."""
         table = self.table
-        doubt = CERTAINTY * (1.0 - made)
+        doubt = UNDETECTED_DOUBT_GAIN * (1.0 - made)
         credited = table.confirmed & (doubt < 1.0)
-        last = t - DOUBT * self._parameters.max_coast_s * doubt
+        last = t - DOUBTFUL_COAST_SHARE * self._parameters.max_coast_s * doubt
         table.last_seen = np.where(credited, np.maximum(table.last_seen, last), table.last_seen)
 
     def excuse(self, t: float, made: Array, visibility: Visibility) -> None:
@@ -132,16 +132,20 @@ class Population:
     def _excused(self, made: Array, overlap: Array, visibility: Visibility) -> Array:
         """(n,) how surely a miss was because another, which was seen, hid the track, and not the detector's."""
         p_detection = self._parameters.p_detection
-        clear = visibility.p_detection / (p_detection * np.maximum(visibility.in_view, NOWHERE))
-        seen = overlap @ made / np.maximum(overlap.sum(axis=1), NOWHERE)  # of those that may hide it
+        clear = visibility.p_detection / (
+            p_detection * np.maximum(visibility.in_view, OUT_OF_VIEW_PROBABILITY)
+        )
+        seen = (
+            overlap @ made / np.maximum(overlap.sum(axis=1), OUT_OF_VIEW_PROBABILITY)
+        )  # of those that may hide it
         hidden = within((1.0 - clear) * seen, 0.0, 1.0)
-        return np.minimum(hidden / (1.0 - p_detection * (1.0 - hidden)), MOST_EXCUSED)
+        return np.minimum(hidden / (1.0 - p_detection * (1.0 - hidden)), MOST_HIDDEN_SHARE)
 
     def drop(self, t: float) -> NDArray[np.bool_] | None:
         """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that
         may be anywhere; returns which (n,) stay, None if all do."""
-        table, longest = self.table, self._parameters.max_coast_s - ROUNDING_S
-        faded = FADED * self._sensor.usual_birth
+        table, longest = self.table, self._parameters.max_coast_s - FRAME_TIME_ROUNDING_S
+        faded = FADED_BIRTH_SHARE * self._sensor.usual_birth
         # Lists: of a few tracks, an array costs more for each question than for all answers.
         alive = [
             t - seen < longest and existence >= faded
@@ -161,7 +165,7 @@ class Population:
         leaving = self.table.select(rows)
         self.table.keep(~rows)
         there = lifecycle.survive(leaving.existence, dt, self._parameters.p_survival)
-        leaving.existence = np.minimum(there, lifecycle.MAX_EXISTENCE)
+        leaving.existence = np.minimum(there, MAX_EXISTENCE)
         return leaving
 
     def shadowed(self, t: float, measured: Measurements, seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -173,9 +177,9 @@ class Population:
         outlying: NDArray[np.bool_] = np.zeros(len(z), np.bool_)
         if startled.any():
             distance, _ = innovations(table.mean[startled], table.cov[startled], z, measured.R)
-            outlying = np.asarray((distance < OUTLYING * self._gate).any(axis=0))
+            outlying = np.asarray((distance < OUTLYING_GATES * self._gate).any(axis=0))
         # Also of a track that was just lost: a box that jumps within itself is around a part of the drone.
-        jumped = table.confirmed & ~seen & (t - table.last_seen < JUMP_S)
+        jumped = table.confirmed & ~seen & (t - table.last_seen < BOX_JUMP_S)
         unknown = UNKNOWN_BOX_SIGMAS * self._parameters.measurement_sigma
         side = np.where(np.isnan(table.size), np.where(jumped, 0.0, unknown)[:, None], table.size)
         near = np.flatnonzero((seen & table.confirmed) | jumped)
@@ -185,6 +189,6 @@ class Population:
 
 def blend_sizes(old: Array, new: Array, believed: float | Array = 1.0) -> Array:
     """Box sizes (k, 2) px after new ones were seen, which are believed, one or (k, 1); NaN is unknown."""
-    share = (1.0 - SIZE_MEMORY) * believed
+    share = (1.0 - BOX_SIZE_MEMORY) * believed
     mixed = (1.0 - share) * old + share * new
     return np.where(np.isnan(old), new, np.where(np.isnan(new), old, mixed))

@@ -15,28 +15,26 @@ from swarmtrack.tracking.association import gate_threshold
 from swarmtrack.tracking.gaussian import innovations, variances
 from swarmtrack.tracking.lifecycle import probability_in_view
 from swarmtrack.tracking.motion_model import POSITION
-from swarmtrack.tracking.noise import LEAST_SIGMA, NoiseScales, SurePairs
+from swarmtrack.tracking.noise import NoiseScales, SurePairs
 from swarmtrack.tracking.occlusion import hidden_behind, resolutions, unresolved
 from swarmtrack.tracking.parameters import CommonParameters
-
-SIZE_GATE = 3.0
-LEAST_SCORE = 0.33  # the noise of detections of lower ones is not known
-LEAST_VARIANCE = 1e-6  # px²: who claims to know better is not believed, and no covariance gets singular
-MOST_CORRELATED = 0.9999  # of the errors of u and v
-SCORES = (0.01, 0.99)  # a detector that is surer than that is not believed
-# What the clutter rate that was told is worth: at most so many scans, for targets not yet found look like clutter, nor
-# more than so many false detections, for where ten come with each scan the first one tells more than a guess.
-PRIOR_SCANS, PRIOR_CLUTTER = 20.0, 8.0
-CLUTTER_MEMORY_SCANS = 200.0
-CLUTTER_BOUND = 10.0  # at most so many times the rate that was told, or so many times less
-# Likewise of the noise: after this many detections a new one counts for a quarter of a percent.
-PRIOR_DETECTIONS, NOISE_MEMORY_DETECTIONS = 20.0, 400.0
-NOISE_BOUND = 10.0
-# Share of detections that are off by more than their noise.
-OUTLIERS = 0.05
-# Of its longer side, one sigma: how far a box is off that is drawn round a drone and what stands behind it, or round a
-# part of one.
-MISDRAWN = 0.1
+from swarmtrack.tracking.priors import (
+    BOX_SIZE_GATE_SIGMAS,
+    CLUTTER_BOUND,
+    CLUTTER_MEMORY_SCANS,
+    CLUTTER_PRIOR_DETECTIONS,
+    CLUTTER_PRIOR_SCANS,
+    LEAST_MEASUREMENT_VARIANCE_PX2,
+    LEAST_NOISE_SCORE,
+    MISDRAWN_BOX_SIGMA,
+    MOST_MEASUREMENT_CORRELATION,
+    NOISE_BOUND,
+    NOISE_MEMORY_DETECTIONS,
+    NOISE_PRIOR_DETECTIONS,
+    OUTLIER_SHARE,
+    PIXEL_SIGMA_PX,
+    SCORE_BOUNDS,
+)
 
 
 class Outliers(NamedTuple):
@@ -101,17 +99,17 @@ class SensorModel:
         self.R = parameters.measurement_sigma**2 * np.eye(2)
         self.clutter_per_scan = parameters.clutter_per_scan
         """As learned until now."""
-        self._scans_learned = min(PRIOR_SCANS, PRIOR_CLUTTER / parameters.clutter_per_scan)
+        self._scans_learned = min(CLUTTER_PRIOR_SCANS, CLUTTER_PRIOR_DETECTIONS / parameters.clutter_per_scan)
         self._learns = parameters.learn_clutter and parameters.profile != "paper"
         self.noise_scale = 1.0
         """By which every R is multiplied, as learned until now, where it is learned upwards only."""
-        self._detections_learned = PRIOR_DETECTIONS
+        self._detections_learned = NOISE_PRIOR_DETECTIONS
         self._noise_learned = parameters.learn_noise if parameters.profile != "paper" else "no"
         self.noise = NoiseScales(motion=self._noise_learned == "both" and parameters.has_calm_model)
         """Where it is learned both ways."""
         self.parameters = parameters
         self._gate = gate_threshold(parameters.gate_probability)
-        bar = min(max(parameters.birth_score, SCORES[0]), SCORES[1])
+        bar = min(max(parameters.birth_score, SCORE_BOUNDS[0]), SCORE_BOUNDS[1])
         self._bar = math.log(bar / (1.0 - bar))
         """Of the likeness: the log odds that it is counted from."""
         self._uses_boxes = parameters.profile != "paper"
@@ -168,7 +166,7 @@ class SensorModel:
         # In plain numbers: of a few boxes, arrays take five times as long.
         R = []
         for (width, height), score_of_it in zip(size.tolist(), scores, strict=False):
-            s = min(max(LEAST_SCORE, score_of_it), 1.0)
+            s = min(max(LEAST_NOISE_SCORE, score_of_it), 1.0)
             share = told.size_noise**2 + (told.score_noise * (1.0 - s) / s) ** 2
             # A side that is not known, NaN, comes out of max as 0.
             w, h = min(max(0.0, width), widest), min(max(0.0, height), highest)
@@ -180,7 +178,7 @@ class SensorModel:
         have edges of whole pixels, and more boxes of a target that hovers round them the same way."""
         if self._noise_learned == "both":
             of_position = variances(cov)[:, POSITION]
-            of_position += LEAST_SIGMA**2
+            of_position += PIXEL_SIGMA_PX**2
 
     def visibility(
         self, mean: Array, cov: Array, size: Array | None = None, existence: Array | None = None
@@ -285,27 +283,27 @@ def within(values: Array, least: float | Array, most: float | Array) -> Array:
 def _outliers(widest: Array, size: Array, likeness: Array | None) -> Outliers:
     """widest (m, 2, 2) px²: R of detections that only scatter; size (m, 2) px; likeness (m,)."""
     if likeness is None:
-        return Outliers(np.full(len(size), OUTLIERS), widest, misdrawn=False)
-    off = MISDRAWN * np.nan_to_num(size.max(axis=1, initial=0.0))
-    share = within(1.0 - likeness, OUTLIERS, 1.0 - OUTLIERS)
+        return Outliers(np.full(len(size), OUTLIER_SHARE), widest, misdrawn=False)
+    off = MISDRAWN_BOX_SIGMA * np.nan_to_num(size.max(axis=1, initial=0.0))
+    share = within(1.0 - likeness, OUTLIER_SHARE, 1.0 - OUTLIER_SHARE)
     return Outliers(share, widest + (off * off)[:, None, None] * np.eye(2), misdrawn=True)
 
 
 def _odds(score: Array) -> Array:
     """Of what a detector scores (m,), as far as it is believed."""
-    p = within(score, *SCORES)
+    p = within(score, *SCORE_BOUNDS)
     return p / (1.0 - p)
 
 
 def _sound_covariances(R: Array, largest: float) -> tuple[Array, NDArray[np.bool_]]:
-    """Covariances R (m, 2, 2) px² made symmetric and no smaller than `LEAST_VARIANCE`, and which (m,) can be used:
-    positive, with sigmas below `largest` px."""
+    """Covariances R (m, 2, 2) px² made symmetric and no smaller than `LEAST_MEASUREMENT_VARIANCE_PX2`, and which (m,)
+    can be used: positive, with sigmas below `largest` px."""
     R = np.array(R, dtype=float, order="C")
     variance = variances(R)
     across = np.abs(R.reshape(-1, 4)[:, 1:3])
-    most_across = MOST_CORRELATED * np.sqrt(within(variance, 0.0, largest**2)).prod(axis=1)
+    most_across = MOST_MEASUREMENT_CORRELATION * np.sqrt(within(variance, 0.0, largest**2)).prod(axis=1)
     sound = ((variance > 0.0) & (variance < largest**2) & (across <= most_across[:, None])).all(axis=1)
-    np.maximum(variance, LEAST_VARIANCE, out=variance)
+    np.maximum(variance, LEAST_MEASUREMENT_VARIANCE_PX2, out=variance)
     R[:, 0, 1] = R[:, 1, 0]
     return R, sound
 
@@ -314,9 +312,9 @@ def _log_likelihood_of_sizes(tracks: Array, measured: Array, sigma: float) -> Ar
     """(n, m) of boxes (m, 2) px, known to have the sizes (n, 2) px up to a relative sigma per side, over a typical
     one.
 
-    A side that differs by more than `SIZE_GATE` sigma is that of a box around two drones: it speaks against, but no
-    louder.
+    A side that differs by more than `BOX_SIZE_GATE_SIGMAS` sigma is that of a box around two drones: it speaks against,
+    but no louder.
     """
     deviation = np.abs(np.log(measured)[None] - np.log(tracks)[:, None]) / sigma
-    likelihood = 0.5 * (1.0 - np.minimum(deviation, SIZE_GATE) ** 2)
+    likelihood = 0.5 * (1.0 - np.minimum(deviation, BOX_SIZE_GATE_SIGMAS) ** 2)
     return np.asarray(np.where(np.isnan(likelihood), 0.0, likelihood).sum(axis=2))

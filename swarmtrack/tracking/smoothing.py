@@ -19,11 +19,8 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Track
 from swarmtrack.tracking.motion_model import Turn
+from swarmtrack.tracking.priors import SMOOTHER_LEAST_COV, SMOOTHER_MOST_SCANS, SMOOTHER_SAME_INSTANT_S
 from swarmtrack.tracking.table import TrackTable
-
-MOST_SCANS = 600  # ten seconds at 60 Hz: beyond, the lag is shorter than it was told
-SAME_INSTANT = 1e-9  # s
-NEGLIGIBLE = 1e-9 * np.eye(4)  # keeps a prediction that is sure to the last digit invertible
 
 
 class PredictedTracks(NamedTuple):
@@ -53,7 +50,7 @@ class FixedLag:
         self._lag_s = lag_s
         self._camera = camera
         self._turn = turn
-        self._notes: deque[Note] = deque(maxlen=MOST_SCANS)
+        self._notes: deque[Note] = deque(maxlen=SMOOTHER_MOST_SCANS)
         self._id = np.empty(0, np.int64)
         self._F = np.empty((0, 4, 4))
         self._expected = PredictedTracks(self._id, np.empty((0, 4)), self._F, self._F)
@@ -80,7 +77,7 @@ class FixedLag:
         if not self._lag_s:
             return
         self._notes.append(Note(t, self._expected, _copy(table)))
-        while len(self._notes) > 1 and self._notes[1].t <= t - self._lag_s + SAME_INSTANT:
+        while len(self._notes) > 1 and self._notes[1].t <= t - self._lag_s + SMOOTHER_SAME_INSTANT_S:
             self._notes.popleft()
         self._id, self._F = table.id.copy(), np.tile(np.eye(4), (len(table), 1, 1))
 
@@ -90,8 +87,8 @@ class FixedLag:
         A track that ended meanwhile is among them; one that was confirmed meanwhile counts as confirmed.
         """
         notes = list(self._notes)
-        full = len(notes) == MOST_SCANS
-        if not notes or (notes[0].t > notes[-1].t - self._lag_s + SAME_INSTANT and not full):
+        full = len(notes) == SMOOTHER_MOST_SCANS
+        if not notes or (notes[0].t > notes[-1].t - self._lag_s + SMOOTHER_SAME_INSTANT_S and not full):
             return ()
         later = notes[-1].table
         for note, following in zip(notes[-2::-1], notes[:0:-1], strict=True):
@@ -138,7 +135,7 @@ def rts_step(
     explain; where a turn bends a wide distribution that is no covariance, and only its positive part is taken.
     """
     F = expected.F
-    C = np.linalg.solve(expected.cov + NEGLIGIBLE, F @ cov).swapaxes(1, 2)
+    C = np.linalg.solve(expected.cov + SMOOTHER_LEAST_COV, F @ cov).swapaxes(1, 2)
     moved = mean + (C @ (later_mean - expected.mean)[:, :, None])[:, :, 0]
     value, axes = np.linalg.eigh(expected.cov - F @ cov @ F.swapaxes(1, 2))
     Q = (axes * np.maximum(value, 0.0)[:, None]) @ axes.swapaxes(1, 2)

@@ -10,7 +10,8 @@ import pytest
 from swarmtrack.agents.main import main
 from swarmtrack.config.trajectories import read_trajectories, write_trajectories
 from swarmtrack.errors import ConfigError
-from swarmtrack.motion.sway import LASTS_S, sway
+from swarmtrack.motion.priors import SWAY_LASTS_S
+from swarmtrack.motion.sway import sway
 
 HEADER = "id,t_s,north_m,east_m,down_m\n"
 
@@ -67,7 +68,7 @@ def test_the_mission_of_a_sway_is_the_code_as_csv_and_as_set_points(tmp_path, ca
     assert main([*words, str(points)]) == 0
     document = json.loads(points.read_text())
     assert document["begins_utc"] == "2026-05-01T10:00:10+00:00"
-    t = np.arange(0.0, LASTS_S, 0.05)
+    t = np.arange(0.0, SWAY_LASTS_S, 0.05)
     for drone_id, found in read_trajectories(table).items():
         flown = np.array([sway(drone_id, team, one) for one in t])
         assert found.at(t) == pytest.approx(flown[:, 0], abs=2e-4)

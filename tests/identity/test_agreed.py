@@ -10,7 +10,8 @@ from swarmtrack.identity.agreed import AgreedMotions
 from swarmtrack.identity.motion_evidence import CODED, PLANNED, TRIED
 from swarmtrack.identity.spans import SPAN
 from swarmtrack.messages import AgreedMotion
-from swarmtrack.motion.sway import LASTS_S, sway
+from swarmtrack.motion.priors import SWAY_LASTS_S
+from swarmtrack.motion.sway import sway
 from swarmtrack.runtime.filed import SOMEWHERE_M, coded_motion, filed_announcement
 
 
@@ -122,7 +123,7 @@ class Swaying:
 
     def named_at(self, name, sways):
         """When the track was named, s since the beginning, or inf. sways: t -> by track, its displacement (3,) m."""
-        while self.watching.t < self.BEGIN + LASTS_S:
+        while self.watching.t < self.BEGIN + SWAY_LASTS_S:
             moved = sways(self.watching.t + SCAN_S - self.BEGIN)
             pixels = {one: self._pixel(one, moved[one]) for one in self.metres}
             if self.watching.sees(SCAN_S, **pixels)[name] is not None:
@@ -148,7 +149,7 @@ def test_the_more_of_a_team_is_found_the_sooner_is_the_next():
     seeds = range(6)
     alone = [Swaying(seed, a=20.0).named_at("a", by_code) for seed in seeds]
     among = [Swaying(seed, a=20.0, b=4.0, c=4.0, d=4.0, e=4.0).named_at("a", by_code) for seed in seeds]
-    assert np.mean(np.minimum(among, LASTS_S)) < np.mean(np.minimum(alone, LASTS_S)) - 0.5
+    assert np.mean(np.minimum(among, SWAY_LASTS_S)) < np.mean(np.minimum(alone, SWAY_LASTS_S)) - 0.5
 
 
 @pytest.mark.parametrize("seed", range(4))

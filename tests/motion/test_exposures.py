@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from swarmtrack.messages import Detections
-from swarmtrack.motion.exposures import MAX_WAIT, WaitingScans
+from swarmtrack.motion.exposures import WaitingScans
 from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.motion.priors import GYRO_WAIT_S
 from swarmtrack.motion.time_offset import CameraClock
 
 OFFSET = 0.02
@@ -43,7 +44,7 @@ def test_a_scan_waits_for_the_sample_that_brackets_its_exposure(gyro, waiting):
 def test_a_gyro_that_never_spoke_or_fell_silent_is_not_waited_for(gyro, waiting):
     waiting.append(scan(1.0))
     assert waiting.pop() is not None
-    reach(gyro, 1.0 + OFFSET - MAX_WAIT - 1e-3)
+    reach(gyro, 1.0 + OFFSET - GYRO_WAIT_S - 1e-3)
     waiting.append(scan(1.0))
     assert waiting.pop() is not None
 
@@ -51,8 +52,8 @@ def test_a_gyro_that_never_spoke_or_fell_silent_is_not_waited_for(gyro, waiting)
 def test_whoever_cannot_wait_any_longer_says_what_time_it_is(gyro, waiting):
     reach(gyro, 1.0)
     waiting.append(scan(1.0))
-    assert waiting.pop(1.0 + OFFSET + MAX_WAIT) is None
-    assert waiting.pop(1.0 + OFFSET + MAX_WAIT + 1e-6) is not None
+    assert waiting.pop(1.0 + OFFSET + GYRO_WAIT_S) is None
+    assert waiting.pop(1.0 + OFFSET + GYRO_WAIT_S + 1e-6) is not None
 
 
 def test_they_come_in_the_order_in_which_they_arrived(gyro, waiting):

@@ -12,8 +12,9 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import AutopilotRebooted, EgoPose, ImuSample
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.motion.gyro_bias import SURE, GyroBias
+from swarmtrack.motion.gyro_bias import GyroBias
 from swarmtrack.motion.mounting import Mounting
+from swarmtrack.motion.priors import BIAS_USED_SIGMA_RAD_S
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.tracking import create_tracker
 
@@ -71,7 +72,7 @@ def test_the_bias_is_found_within_its_sigma_and_taken_off():
     for seed in range(10):
         _, gyro, estimator = end_of(fly(seed=seed))
         errors.append(estimator.found.bias - BIAS)
-        assert estimator.found.sigma < SURE
+        assert estimator.found.sigma < BIAS_USED_SIGMA_RAD_S
         assert gyro.bias == pytest.approx(BIAS, abs=2e-3)
     assert np.sqrt(np.mean(np.square(errors))) < estimator.found.sigma
 
@@ -81,10 +82,10 @@ def test_it_claims_nothing_before_it_knows_and_is_used_only_when_it_is_sure():
     for t, gyro, estimator in fly():
         if t < 0.5:
             assert estimator.found is None
-        if estimator.found is None or estimator.found.sigma > SURE:
+        if estimator.found is None or estimator.found.sigma > BIAS_USED_SIGMA_RAD_S:
             assert gyro.bias == (0.0, 0.0, 0.0)
         sigmas.append(estimator.found.sigma if estimator.found else math.inf)
-    assert sigmas[100] < 2 * SURE  # ten seconds
+    assert sigmas[100] < 2 * BIAS_USED_SIGMA_RAD_S  # ten seconds
 
 
 def test_a_gyro_that_is_corrected_already_has_none():

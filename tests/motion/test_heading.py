@@ -12,15 +12,9 @@ from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import AutopilotRebooted, EgoPose, FlightState, HeadingNews, ImuSample
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.motion.heading import (
-    ALIGNED_S,
-    NEWS_EVERY,
-    HeadingBulletin,
-    HeadingKnowledge,
-    HeadingSigma,
-    HeadingSteps,
-)
+from swarmtrack.motion.heading import HeadingBulletin, HeadingKnowledge, HeadingSigma, HeadingSteps
 from swarmtrack.motion.mounting import Mounting
+from swarmtrack.motion.priors import HEADING_ALIGNED_AFTER_S, HEADING_NEWS_PERIOD_S
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.tracking import create_tracker
 
@@ -134,8 +128,8 @@ def knowledge(*states):
 
 def test_on_the_ground_and_at_first_in_flight_the_heading_is_less_sure():
     known = knowledge((0.0, None), (30.0, 30.0))
-    assert known.sigma(30.0 + ALIGNED_S - 0.1) == GROUND
-    assert known.sigma(30.0 + ALIGNED_S) == FLIGHT
+    assert known.sigma(30.0 + HEADING_ALIGNED_AFTER_S - 0.1) == GROUND
+    assert known.sigma(30.0 + HEADING_ALIGNED_AFTER_S) == FLIGHT
     known.fly(FlightState(80.0, None))
     assert known.sigma(80.0) == GROUND
 
@@ -153,8 +147,8 @@ def test_who_was_found_flying_is_aligned_and_a_reboot_in_the_air_begins_again():
     known = knowledge((0.0, -math.inf))
     assert known.sigma(0.0) == FLIGHT
     known.restart(50.0)
-    assert known.sigma(50.0 + ALIGNED_S - 1.0) == GROUND
-    assert known.sigma(50.0 + ALIGNED_S) == FLIGHT
+    assert known.sigma(50.0 + HEADING_ALIGNED_AFTER_S - 1.0) == GROUND
+    assert known.sigma(50.0 + HEADING_ALIGNED_AFTER_S) == FLIGHT
 
 
 @pytest.mark.parametrize(
@@ -164,7 +158,7 @@ def test_an_autopilot_that_does_not_say_whether_it_flies_does_once_it_has_left(s
     known = knowledge()
     known.see(EgoPose(0.0, np.zeros(3), np.eye(3), sigma))
     known.see(EgoPose(1.0, np.array([0.0, 0.0, -height]), np.eye(3), sigma))
-    assert known.is_aligned(1.0 + ALIGNED_S) is flies
+    assert known.is_aligned(1.0 + HEADING_ALIGNED_AFTER_S) is flies
 
 
 def test_whoever_says_that_it_stands_is_believed_wherever_it_is():
@@ -182,7 +176,7 @@ def test_the_team_hears_of_a_step_at_once_and_of_the_next_one_when_it_is_due():
     assert bulletin.news(1.0, [0.03], is_aligned=False) == HeadingNews(1.0, 0.03)
     assert bulletin.news(2.0, [0.04], is_aligned=False) is None
     assert bulletin.news(3.0, [], is_aligned=False) is None
-    assert bulletin.news(1.0 + NEWS_EVERY, [], is_aligned=False) == HeadingNews(2.0, 0.04)
+    assert bulletin.news(1.0 + HEADING_NEWS_PERIOD_S, [], is_aligned=False) == HeadingNews(2.0, 0.04)
     assert bulletin.news(99.0, [], is_aligned=False) is None
 
 

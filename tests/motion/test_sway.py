@@ -7,28 +7,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmtrack.motion.sway import (
-    AMPLITUDE_M,
-    FASTEST_HZ,
-    LASTS_S,
-    SLOWEST_HZ,
-    frequency,
-    next_begin,
-    possible_begins,
-    sway,
-)
+from swarmtrack.motion.priors import SWAY_AMPLITUDE_M, SWAY_FASTEST_HZ, SWAY_LASTS_S, SWAY_SLOWEST_HZ
+from swarmtrack.motion.sway import frequency, next_begin, possible_begins, sway
 
 TEAM = (3, 7, 12, 40)
 
 
 def heights(drone_id: int, team: tuple[int, ...] = TEAM) -> np.ndarray:
     """Upwards, m, every 10 ms."""
-    return np.array([-sway(drone_id, team, t)[0, 2] for t in np.arange(0.0, LASTS_S, 0.01)])
+    return np.array([-sway(drone_id, team, t)[0, 2] for t in np.arange(0.0, SWAY_LASTS_S, 0.01)])
 
 
 def test_the_frequencies_are_spread_evenly_in_the_order_of_the_ids():
     found = [frequency(drone_id, (40, 3, 12, 7)) for drone_id in TEAM]
-    assert found == pytest.approx(np.linspace(SLOWEST_HZ, FASTEST_HZ, 4))
+    assert found == pytest.approx(np.linspace(SWAY_SLOWEST_HZ, SWAY_FASTEST_HZ, 4))
 
 
 @pytest.mark.parametrize(("team", "first"), [(TEAM, [1, 1, 1, 1]), ((*TEAM, 50), [1, -1, 1, -1, 1])])
@@ -36,12 +28,12 @@ def test_it_sways_up_first_and_in_a_large_team_every_second_one_down(team, first
     found = [heights(drone_id, team) for drone_id in team]
     assert [np.sign(height[np.flatnonzero(np.abs(height) > 0.02)[0]]) for height in found] == first
     for height in found:
-        assert np.abs(height).max() == pytest.approx(AMPLITUDE_M, rel=0.03)
+        assert np.abs(height).max() == pytest.approx(SWAY_AMPLITUDE_M, rel=0.03)
 
 
 @pytest.mark.parametrize("n", [5, 10])
 def test_neighbours_in_a_large_team_are_unlike_before_half_the_code_is_over(n):
-    team, half = tuple(range(1, n + 1)), slice(0, round(50 * LASTS_S))
+    team, half = tuple(range(1, n + 1)), slice(0, round(50 * SWAY_LASTS_S))
     for one in team[:-1]:
         own, other = heights(one, team)[half], heights(one + 1, team)[half]
         assert np.corrcoef(own, other)[0, 1] < 0.0
@@ -49,11 +41,11 @@ def test_neighbours_in_a_large_team_are_unlike_before_half_the_code_is_over(n):
 
 def test_it_is_vertical_and_before_and_after_it_is_still():
     assert np.array([sway(7, TEAM, t)[:, :2] for t in (0.5, 3.0, 7.9)]) == pytest.approx(0.0)
-    for t in (-1.0, 0.0, LASTS_S, 100.0):
+    for t in (-1.0, 0.0, SWAY_LASTS_S, 100.0):
         assert not sway(7, TEAM, t).any()
 
 
-@given(t=st.floats(0.01, LASTS_S - 0.01), drone_id=st.sampled_from(TEAM))
+@given(t=st.floats(0.01, SWAY_LASTS_S - 0.01), drone_id=st.sampled_from(TEAM))
 def test_each_derivative_is_that_of_the_one_before(t, drone_id):
     h = 1e-4
     slope = (sway(drone_id, TEAM, t + h) - sway(drone_id, TEAM, t - h)) / (2.0 * h)
@@ -61,7 +53,7 @@ def test_each_derivative_is_that_of_the_one_before(t, drone_id):
 
 
 def test_the_quickest_asks_for_no_more_than_a_third_of_gravity_and_a_bit():
-    fastest = np.array([sway(40, TEAM, t) for t in np.arange(0.0, LASTS_S, 0.005)])
+    fastest = np.array([sway(40, TEAM, t) for t in np.arange(0.0, SWAY_LASTS_S, 0.005)])
     _, speed, acceleration, _ = np.abs(fastest[:, :, 2]).max(axis=0)
     assert speed < 0.9
     assert acceleration < 3.7

@@ -19,7 +19,8 @@ from swarmtrack.messages import Detections, ImuSample, Scan
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
-from swarmtrack.motion.time_offset import SURE, TAUS, CameraClock, OffsetEstimate, _agreed, to_use
+from swarmtrack.motion.priors import OFFSET_BLOCK_ERRORS_S, OFFSET_USED_SIGMA_S
+from swarmtrack.motion.time_offset import CameraClock, OffsetEstimate, _agreed, to_use
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.tracking import create_tracker
 
@@ -196,14 +197,14 @@ def test_errors_are_as_large_as_the_sigma_says():
     # noise alone. Six cannot prove it: what they might err beyond it makes σ larger by a sixth. And targets that
     # sway smoothly are easier to follow than what the filters allow for.
     assert 0.23 * 0.55 < np.mean((error / sigma) ** 2) < 2.5
-    assert np.median(sigma) < SURE
+    assert np.median(sigma) < OFFSET_USED_SIGMA_S
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.4])
 def test_a_camera_that_stands_still_or_turns_steadily_claims_nothing(rate):
     for seed in range(3):
         clock, _ = play(Steady(rate), 0.04, 20.0, seed=seed, seen=targets_around)
-        assert clock.found is None or clock.found.sigma_s > 10 * SURE
+        assert clock.found is None or clock.found.sigma_s > 10 * OFFSET_USED_SIGMA_S
         assert clock.used_s == 0.0
 
 
@@ -217,7 +218,7 @@ def test_quiet_time_teaches_nothing_that_the_first_step_sideways_turns_into_a_wr
     for seed in seeds:
         step, offset, said = FirstStep(np.random.default_rng(seed)), (-0.06, 0.01, 0.05)[seed % 3], []
         play(step, offset, step.SECONDS, seed=seed, sigma=0.5, fps=6.0, seen=step.teammate, tell=said.append)
-        sure = [found for found in said if found and found.sigma_s < SURE]
+        sure = [found for found in said if found and found.sigma_s < OFFSET_USED_SIGMA_S]
         assert all(abs(found.offset_s - offset) < 3.0 * found.sigma_s for found in sure)
 
 
@@ -234,7 +235,7 @@ def test_what_blocks_agree_on_is_as_far_off_as_its_sigma_says():
     """Of flights as the estimator imagines them: a τ of its own prior, and blocks that err by it and by their noise."""
     rng, ratios = np.random.default_rng(0), []
     for _ in range(1500):
-        blocks, tau = rng.integers(2, 20), rng.choice(TAUS)
+        blocks, tau = rng.integers(2, 20), rng.choice(OFFSET_BLOCK_ERRORS_S)
         noise = 10.0 ** rng.uniform(-3.5, -1.5, blocks)
         said = 0.02 + rng.normal(0.0, np.hypot(noise, tau))
         offset, variance = _agreed(noise**-2.0, -said / noise**2, np.ones(blocks))
@@ -247,11 +248,11 @@ def test_blocks_that_agree_are_believed_and_blocks_that_do_not_are_not():
     # Slopes of a parabola's surprise at 0 whose least is at the offsets.
     agreed, variance = _agreed(curvature, -curvature * [20e-3, 20.5e-3], fresh)
     assert agreed == pytest.approx(20.25e-3)
-    assert variance < SURE**2
+    assert variance < OFFSET_USED_SIGMA_S**2
     apart, variance = _agreed(curvature, -curvature * [60e-3, 20e-3], fresh)
     assert apart == pytest.approx(40e-3)
     assert variance > (10e-3) ** 2
-    assert _agreed(curvature[:1], -curvature[:1] * [20e-3], fresh[:1])[1] > (2 * SURE) ** 2
+    assert _agreed(curvature[:1], -curvature[:1] * [20e-3], fresh[:1])[1] > (2 * OFFSET_USED_SIGMA_S) ** 2
 
 
 @pytest.mark.parametrize(
@@ -276,7 +277,7 @@ def test_what_is_used_goes_back_as_soon_as_it_is_contradicted_by_three_of_the_pr
 def test_clutter_and_misses_cost_little():
     motion = Turning(np.random.default_rng(3))
     clock, _ = play(motion, 0.06, 30.0, p_detection=0.7, clutter=3.0)
-    assert clock.found.sigma_s < SURE
+    assert clock.found.sigma_s < OFFSET_USED_SIGMA_S
     assert clock.found.offset_s == pytest.approx(0.06, abs=3e-3)
 
 
@@ -298,7 +299,7 @@ def test_exposures_stay_in_order_while_the_offset_is_taken_up_and_end_up_right()
 
 def test_a_good_calibration_is_left_alone():
     clock, _ = play(Turning(np.random.default_rng(6)), 0.0302, start=0.030)
-    assert clock.found.sigma_s < SURE
+    assert clock.found.sigma_s < OFFSET_USED_SIGMA_S
     assert clock.used_s == 0.030
 
 
@@ -449,7 +450,7 @@ def test_what_lies_beyond_the_search_is_unknown_and_changes_nothing():
         drone,
         [replace(e, t=e.t - 0.3) if isinstance(e, Detections) else e for e in events(motion, 0, 0.3, 14.0)],
     )
-    assert drone.camera_clock.found is None or drone.camera_clock.found.sigma_s > SURE
+    assert drone.camera_clock.found is None or drone.camera_clock.found.sigma_s > OFFSET_USED_SIGMA_S
     assert drone.camera_clock.used_s == 0.0
 
 

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from swarmtrack.messages import MotionReport, RelativeState, SightingReport
-from swarmtrack.relative.heights import CARRIED_S, SaidHeights
+from swarmtrack.relative.heights import SaidHeights
 from swarmtrack.relative.looks import TeamLook
+from swarmtrack.relative.priors import HEIGHT_CARRIED_S
 
 OWN_HEIGHT, MATE_HEIGHT = 9.0, 8.0
 MATE = np.array([4.0, -3.0, 1.0])
@@ -68,7 +69,7 @@ def test_what_is_older_tells_less_and_then_nothing():
     sigmas = [said.sights(look(1.0 + age), states())[0].sigma for age in (0.0, 0.2, 0.5)]
     assert sigmas == sorted(sigmas)
     assert sigmas[-1] > 3.0 * sigmas[0]
-    assert said.sights(look(1.0 + CARRIED_S + 0.01), states()) == ()
+    assert said.sights(look(1.0 + HEIGHT_CARRIED_S + 0.01), states()) == ()
 
 
 def test_its_motion_tells_more_than_its_places_and_each_has_a_constant_of_its_own():

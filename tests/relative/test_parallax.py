@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from swarmtrack.relative.looks import TeamLook
-from swarmtrack.relative.parallax import REACH_M, FarOff
+from swarmtrack.relative.parallax import FarOff
+from swarmtrack.relative.priors import PARALLAX_REACH_M
 
 FPS, SIGMA, WHITE = 20.0 / 3.0, 0.008, 0.1
 DRONE_M = 0.57
@@ -118,7 +119,7 @@ def test_a_drone_that_hovered_far_off_and_then_comes_is_far_no_more_before_it_ma
 
     told = watched(FarOff(), to_and_fro, comes, DRONE_M, 26.0, seed=seed)
     assert any(far for t, _, far in told if t < 20.0)
-    assert min(distance for _, distance, far in told if far) > REACH_M
+    assert min(distance for _, distance, far in told if far) > PARALLAX_REACH_M
 
 
 def test_who_hovers_tells_nothing_from_it():

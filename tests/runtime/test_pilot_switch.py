@@ -11,7 +11,7 @@ from support.ports import free_port
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import load_config
 from swarmtrack.messages import AgreedMotion
-from swarmtrack.motion.sway import BEGINS_EVERY_S
+from swarmtrack.motion.priors import SWAY_BEGINS_EVERY_S
 from swarmtrack.outputs.console import Console
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
@@ -65,4 +65,4 @@ async def test_the_pilot_throws_the_switch_and_onboard_knows_how_its_teammate_wi
     await flying
     assert {motion.drone_id for motion in heard.motions} == {1, 2}
     began = heard.motions[-1].t[0] + clock.utc() - clock.now()
-    assert abs(began / BEGINS_EVERY_S - round(began / BEGINS_EVERY_S)) < 1e-3
+    assert abs(began / SWAY_BEGINS_EVERY_S - round(began / SWAY_BEGINS_EVERY_S)) < 1e-3

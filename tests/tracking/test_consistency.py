@@ -11,7 +11,8 @@ from swarmtrack.messages import Detections
 from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
-from swarmtrack.tracking.consistency import FEWEST, WINDOW, InnovationWindow, sure_pairs
+from swarmtrack.tracking.consistency import InnovationWindow, sure_pairs
+from swarmtrack.tracking.priors import NIS_LEAST_DETECTIONS, NIS_WINDOW_DETECTIONS
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import HealthMessage
 
@@ -56,7 +57,7 @@ def shown(name, seed, *, n=8, scans=60, clutter=0.0, spacing=1200.0, **told):
 
 
 @pytest.mark.parametrize("probability", [1.0, 0.999, 0.99, 0.9])
-@pytest.mark.parametrize("n", [FEWEST, WINDOW])
+@pytest.mark.parametrize("n", [NIS_LEAST_DETECTIONS, NIS_WINDOW_DETECTIONS])
 def test_the_band_leaves_out_one_in_a_hundred_whatever_the_gate(probability, n):
     rng = np.random.default_rng(0)
     outside = 0
@@ -72,7 +73,7 @@ def test_the_band_leaves_out_one_in_a_hundred_whatever_the_gate(probability, n):
 def test_a_band_that_knows_nothing_of_a_tight_gate_would_raise_false_alarms():
     rng = np.random.default_rng(0)
     alarms = 0
-    for nis in drawn(rng, 0.9, (200, WINDOW)).tolist():
+    for nis in drawn(rng, 0.9, (200, NIS_WINDOW_DETECTIONS)).tolist():
         window = InnovationWindow()
         window.add(nis)
         found = window.consistency()
@@ -119,7 +120,7 @@ def test_targets_more_agile_than_believed_are_told(name):
 
 def test_too_few_detections_tell_nothing():
     window = InnovationWindow()
-    window.add([2.0] * (FEWEST - 1))
+    window.add([2.0] * (NIS_LEAST_DETECTIONS - 1))
     assert window.consistency() is None
     window.add([2.0])
     assert window.consistency().nis == 2.0

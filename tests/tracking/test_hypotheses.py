@@ -115,8 +115,8 @@ def test_it_says_complete_only_where_it_is(size, count, seed):
 
 
 def test_where_too_many_are_alike_it_says_that_it_is_not_complete(monkeypatch):
-    monkeypatch.setattr(hypotheses, "BREADTH", 1)
-    monkeypatch.setattr(hypotheses, "LEAST_BREADTH", 3)
+    monkeypatch.setattr(hypotheses, "MATCHINGS_BREADTH", 1)
+    monkeypatch.setattr(hypotheses, "MATCHINGS_LEAST_BREADTH", 3)
     log_weight, gain = scan_of(np.random.default_rng(0), 1, 5, 6, size=0.3, forbidden=0.0)
     found = best_matchings(log_weight, gain, 3, 1e-4)
     assert not found.complete
@@ -125,8 +125,8 @@ def test_where_too_many_are_alike_it_says_that_it_is_not_complete(monkeypatch):
 
 def test_a_list_that_could_be_longer_is_not_complete(monkeypatch):
     """Three of seven asked for ten: two tracks and two detections, but room for three partial ones only."""
-    monkeypatch.setattr(hypotheses, "BREADTH", 0)
-    monkeypatch.setattr(hypotheses, "LEAST_BREADTH", 3)
+    monkeypatch.setattr(hypotheses, "MATCHINGS_BREADTH", 0)
+    monkeypatch.setattr(hypotheses, "MATCHINGS_LEAST_BREADTH", 3)
     found = best_matchings(np.zeros(1), np.full((1, 2, 2), 0.1), 10, 1e-4)
     assert len(found.prior) < 7
     assert not found.complete

@@ -6,7 +6,8 @@ from hypothesis import strategies as st
 from scipy.special import ndtr
 
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.tracking.lifecycle import MAX_SLANT, probability_in_view, within_reach
+from swarmtrack.tracking.lifecycle import probability_in_view, within_reach
+from swarmtrack.tracking.priors import MAX_SLANT
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 

@@ -8,7 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.tracking import marginals
-from swarmtrack.tracking.marginals import WIDEST, matched, matching_marginals, sweep_width
+from swarmtrack.tracking.marginals import matched, matching_marginals, sweep_width
+from swarmtrack.tracking.priors import MARGINALS_MOST_OPEN_ROWS, MARGINALS_SMALL
 
 NEVER = -np.inf
 UNHURRIED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -57,8 +58,8 @@ def ratios(draw, largest=6, size=5, columns=None, forbidden=True):
 def swept_in_order(log_ratio):
     """As of a large cluster: column by column, opening and closing rows."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(marginals, "SMALL", 0)
-        patch.setattr(marginals, "NOT_WORTH_ORDERING", 0)
+        patch.setattr(marginals, "MARGINALS_SMALL", 0)
+        patch.setattr(marginals, "MARGINALS_UNORDERED", 0)
         return matching_marginals(log_ratio)
 
 
@@ -72,13 +73,13 @@ def test_a_pair_is_as_likely_as_the_matchings_that_have_it(solve, log_ratio):
     assert solve(log_ratio) == pytest.approx(written_out(log_ratio), abs=1e-12)
 
 
-@pytest.mark.parametrize("small", [marginals.SMALL, 0])
+@pytest.mark.parametrize("small", [MARGINALS_SMALL, 0])
 @settings(UNHURRIED, max_examples=50)
 @given(log_ratio=ratios(largest=300, columns=7))
 def test_the_weight_of_all_matchings_is_the_sum_of_theirs(small, log_ratio):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(marginals, "SMALL", small)
-        patch.setattr(marginals, "NOT_WORTH_ORDERING", small)
+        patch.setattr(marginals, "MARGINALS_SMALL", small)
+        patch.setattr(marginals, "MARGINALS_UNORDERED", small)
         found = matched(log_ratio).log_total
     assert found == pytest.approx(np.logaddexp.reduce(matchings(log_ratio)[0]), abs=1e-9)
 
@@ -206,7 +207,7 @@ def test_leaving_pairs_out_stays_near_the_exact_marginals():
 def test_where_everything_may_be_everything_nothing_is_likely():
     """Thirty drones that nobody can tell apart: leaving pairs out must not make the rest look certain."""
     found = matching_marginals(np.full((30, 30), 10.0))
-    assert sweep_width(np.full((30, 30), 10.0)) > WIDEST
+    assert sweep_width(np.full((30, 30), 10.0)) > MARGINALS_MOST_OPEN_ROWS
     assert found == pytest.approx(np.full((30, 30), 1.0 / 30.0), abs=0.01)
 
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from swarmtrack.tracking.marginals import matched
-from swarmtrack.tracking.marginals_of_each import MOST_ROWS, matched_of_each
+from swarmtrack.tracking.marginals_of_each import matched_of_each
+from swarmtrack.tracking.priors import MARGINALS_OF_EACH_MOST_ROWS
 
 
 def ratios(seed, shape, forbidden=0.3, spread=4.0):
@@ -14,8 +15,8 @@ def ratios(seed, shape, forbidden=0.3, spread=4.0):
     return log_ratio
 
 
-@pytest.mark.parametrize("n", range(1, MOST_ROWS + 3))
-@pytest.mark.parametrize("m", [1, 3, MOST_ROWS, MOST_ROWS + 3])
+@pytest.mark.parametrize("n", range(1, MARGINALS_OF_EACH_MOST_ROWS + 3))
+@pytest.mark.parametrize("m", [1, 3, MARGINALS_OF_EACH_MOST_ROWS, MARGINALS_OF_EACH_MOST_ROWS + 3])
 @pytest.mark.parametrize("spread", [4.0, 200.0])
 def test_each_is_what_it_is_alone(n, m, spread):
     log_ratio = ratios(n * m, (7, n, m), spread=spread)

@@ -9,8 +9,9 @@ from swarmtrack.benchmarks.trackers.play import play
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.tracking import Scan, create_tracker, lifecycle, manoeuvre
+from swarmtrack.tracking import Scan, create_tracker, manoeuvre
 from swarmtrack.tracking.mbm import MbmParameters
+from swarmtrack.tracking.priors import MAX_EXISTENCE, MIN_CONFIRMED_EXISTENCE
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 NOBODY_COMES_OR_GOES = {"p_survival": 0.9999, "birth_per_scan": 1e-4, "max_coast_s": 3.0}
@@ -56,10 +57,10 @@ def assert_hangs_together(tracker):
         assert np.isfinite(numbers).all()
     assert (motion.mode > 0.0).all()
     np.testing.assert_allclose(motion.mode.sum(axis=1), 1.0, rtol=1e-9)
-    assert ((leaves.existence >= 0.0) & (leaves.existence <= lifecycle.MAX_EXISTENCE)).all()
+    assert ((leaves.existence >= 0.0) & (leaves.existence <= MAX_EXISTENCE)).all()
     assert ((table.existence >= 0.0) & (table.existence < 1.0)).all()
     known = leaves.existence[table.confirmed[leaves.owner]]
-    assert known.min(initial=1.0) >= lifecycle.MIN_CONFIRMED_EXISTENCE
+    assert known.min(initial=1.0) >= MIN_CONFIRMED_EXISTENCE
     side = np.sqrt(np.einsum("njii->nji", motion.cov))
     assert np.linalg.eigvalsh(motion.cov / side[..., :, None] / side[..., None, :]).min(initial=1.0) > 0.0
     # what is published is the leaf that is shown; a tentative track's is all there is of it

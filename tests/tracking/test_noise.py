@@ -10,15 +10,8 @@ from hypothesis import strategies as st
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import TrackStatus
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
-from swarmtrack.tracking.noise import (
-    BOUNDS_R,
-    LEAST_SIGMA,
-    NoiseScales,
-    Scale,
-    SurePairs,
-    size_class,
-    whitened,
-)
+from swarmtrack.tracking.noise import NoiseScales, Scale, SurePairs, size_class, whitened
+from swarmtrack.tracking.priors import PIXEL_SIGMA_PX, R_SCALE_BOUNDS
 
 CAMERA = PinholeCamera(430.0, 430.0, 5000.0, 5000.0, 10_000, 10_000)
 TOLD_SIGMA, TOLD_PSD = 2.0, 1000.0
@@ -128,7 +121,7 @@ def test_who_was_told_a_sigma_uses_it_unless_asked_to_learn():
 
 def test_nothing_is_believed_to_be_exact():
     tracker, _ = flown("mbm", 0, sigma=1e-6, psd=1e-6)
-    assert assumed(tracker, 40.0) == pytest.approx(LEAST_SIGMA**2 * np.eye(2))
+    assert assumed(tracker, 40.0) == pytest.approx(PIXEL_SIGMA_PX**2 * np.eye(2))
     assert all(track.cov[0, 0] > 0.0 for track in tracker.tracks)
 
 
@@ -185,8 +178,8 @@ def test_the_scale_is_where_its_posterior_is_highest(ratios, information):
 
 
 def test_the_scale_stays_within_its_bounds():
-    for ratio, bound in ((0.0, BOUNDS_R[0]), (5.0, BOUNDS_R[1])):
-        scale = Scale(math.log(4.0), *BOUNDS_R)
+    for ratio, bound in ((0.0, R_SCALE_BOUNDS[0]), (5.0, R_SCALE_BOUNDS[1])):
+        scale = Scale(math.log(4.0), *R_SCALE_BOUNDS)
         for _ in range(2000):
             scale.add(ratio, 1.0)
             scale.settle()
@@ -289,7 +282,7 @@ def test_what_lasts_is_published_but_not_believed_by_the_filter(name):
     one_level = {"gentle_share": 1.0} if name == "mbm" else {}
     believed, published, later = variances(learn_noise="both", **one_level)
     _, as_told, later_as_told = variances()
-    lasting = np.diag([LEAST_SIGMA**2, 0.0, LEAST_SIGMA**2, 0.0])
+    lasting = np.diag([PIXEL_SIGMA_PX**2, 0.0, PIXEL_SIGMA_PX**2, 0.0])
     np.testing.assert_allclose(published, believed + lasting)
     np.testing.assert_allclose(as_told, believed)
     np.testing.assert_allclose(later, later_as_told + lasting)

@@ -207,7 +207,7 @@ def test_covariances_stay_positive_and_smaller_than_the_filters(name):
 
 
 def test_memory_is_bounded_whatever_the_rate(monkeypatch):
-    monkeypatch.setattr(smoothing, "MOST_SCANS", 20)
+    monkeypatch.setattr(smoothing, "SMOOTHER_MOST_SCANS", 20)
     tracker = tracker_of("kalman", 10.0)
     tracker.initiate(0.0, np.array([[100.0, 100.0]]))
     for k in range(1, 60):
