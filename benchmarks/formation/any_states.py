@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmtrack.formation.formation import LONGEST_STEP_S
+from swarmtrack.formation.margins import LONGEST_TIME_STEP_S
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
 from swarmtrack.formation.setpoint import STILL, OwnFlight, Setpoint, Velocity
 from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, Track, TrackStatus
@@ -231,7 +231,7 @@ def wrong_with(setpoint: Setpoint, limits: FlightLimits, before: Setpoint | None
     if abs(setpoint.yaw_rate) > limits.yaw_rate + SLACK:
         return f"turns faster than {limits.yaw_rate} rad/s: {setpoint.yaw_rate}"
     last, since = (STILL, 0.0) if before is None else (before.velocity, setpoint.t - before.t)
-    most = limits.evasion * min(max(since, 0.0), LONGEST_STEP_S)
+    most = limits.evasion * min(max(since, 0.0), LONGEST_TIME_STEP_S)
     if math.dist(setpoint.velocity, last) > most + SLACK:
         return f"changes by more than {most} m/s: {last} to {setpoint.velocity}"
     return ""

@@ -27,7 +27,8 @@ from swarmtrack.messages import (
     PeerDeparted,
     SightingReport,
 )
-from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S, SenderClock
+from swarmtrack.transport.limits import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
+from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, announcement_message
 from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message

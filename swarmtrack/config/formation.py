@@ -13,7 +13,8 @@ from swarmtrack.cameras.field_of_view import half_angles
 from swarmtrack.config.team import SwitchSection
 from swarmtrack.config.toml.layers import Layers, Problem
 from swarmtrack.config.toml.sections import Number, Section, Switch, Vector, check_drone_ids, found
-from swarmtrack.formation.parameters import BOUNDS, FlightLimits, FormationParameters
+from swarmtrack.formation.margins import LIMIT_BOUNDS
+from swarmtrack.formation.parameters import FlightLimits, FormationParameters
 from swarmtrack.formation.plan import FormationPlan, HalfView, PlanFault, plan_faults
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -28,7 +29,7 @@ FLYABLE = ("udpin", "udpout", "udp", "tcp", "tcpin", "serial")
 
 
 def _within(name: str, scale: float = 1.0) -> object:
-    low, high = BOUNDS[name]
+    low, high = LIMIT_BOUNDS[name]
     return Field(ge=round(low * scale, 1), le=round(high * scale, 1))
 
 

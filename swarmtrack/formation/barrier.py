@@ -18,19 +18,18 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from swarmtrack.formation.law import dot, towards
+from swarmtrack.formation.margins import (
+    BARRIER_GAMMA_PER_S,
+    BARRIER_SWEEPS,
+    BARRIER_TOLERANCE_M_S,
+    BARRIER_TRUSTED_AWAY,
+    COMING_SPEED_M_S,
+    COMING_WITHIN_S,
+    PASSING_M,
+    SIDESTEP_SPEED_M_S,
+    STRAIGHT_ON_M,
+)
 from swarmtrack.formation.setpoint import STILL, Velocity
-
-# 1/s: how fast the distance left may be used up. Faster, a camera that is 150 ms late sees too late who comes.
-GAMMA = 0.5
-# Of the other's speed away from us: as much is relied on.
-TRUSTED_AWAY = 0.8
-# m/s, s, m: who moves slower, comes later, or passes farther off needs no step aside; and m/s of the longest step.
-COMES_M_S, SOON_S, PASSES_M, STEPS_ASIDE_M_S = 0.5, 4.0, 3.0, 2.0
-# m: who passes nearer comes straight on.
-STRAIGHT_ON_M = 0.4
-SWEEPS = 25
-# m/s: so little a sweep changes when it has found the nearest point.
-SETTLED = 1e-6
 
 
 class HalfSpace(NamedTuple):
@@ -49,7 +48,9 @@ def keep_clear(
 
     fastest [m/s]: so fast it is asked to retreat at most. A cap below the others' speed breaks it.
     """
-    bound = GAMMA * (nearest - clearance) + min(away, 0.0) + TRUSTED_AWAY * max(away, 0.0)
+    bound = (
+        BARRIER_GAMMA_PER_S * (nearest - clearance) + min(away, 0.0) + BARRIER_TRUSTED_AWAY * max(away, 0.0)
+    )
     return HalfSpace(direction, max(bound, -fastest), track)
 
 
@@ -58,27 +59,27 @@ def not_closing(
 ) -> HalfSpace:
     """What is left of `keep_clear` where it cannot be had of everybody: nobody nearer than the clearance is closed in
     on, and beyond it the distance left is used up no faster. leaves [m/s]: as fast the other is expected to fly off."""
-    return HalfSpace(direction, GAMMA * max(nearest - clearance, 0.0) + leaves, track)
+    return HalfSpace(direction, BARRIER_GAMMA_PER_S * max(nearest - clearance, 0.0) + leaves, track)
 
 
-def sidestep(place: Velocity, motion: Velocity, lasts: float = SOON_S) -> Velocity:
+def sidestep(place: Velocity, motion: Velocity, lasts: float = COMING_WITHIN_S) -> Velocity:
     """m/s, level: out of the way of somebody at `place` [m, from here] who passes soon and near. motion [m/s]: its
     velocity less the wanted one, and lasts [s]: for how long. Who comes straight on is passed on its left: both step to
     their right."""
     north, east, _ = place
     vn, ve, _ = motion
     square = vn * vn + ve * ve
-    if square < COMES_M_S**2:
+    if square < COMING_SPEED_M_S**2:
         return STILL
     soon = -(north * vn + east * ve) / square
-    if not 0.0 < soon < SOON_S:
+    if not 0.0 < soon < COMING_WITHIN_S:
         return STILL
     soon = min(soon, lasts)
     pn, pe = north + soon * vn, east + soon * ve
     miss = math.hypot(pn, pe)
-    if miss >= PASSES_M:
+    if miss >= PASSING_M:
         return STILL
-    speed = STEPS_ASIDE_M_S * (1.0 - miss / PASSES_M)
+    speed = SIDESTEP_SPEED_M_S * (1.0 - miss / PASSING_M)
     if miss < STRAIGHT_ON_M:
         # Its left is a quarter turn back from its course; we stand on it when we go there.
         length = math.sqrt(square)
@@ -86,7 +87,7 @@ def sidestep(place: Velocity, motion: Velocity, lasts: float = SOON_S) -> Veloci
     return -speed * pn / miss, -speed * pe / miss, 0.0
 
 
-def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace], sweeps: int = SWEEPS) -> Velocity:
+def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace], sweeps: int = BARRIER_SWEEPS) -> Velocity:
     """The velocity nearest to `wanted` within all half-spaces; a compromise where they have nothing in common."""
     north, east, down = wanted
     rows = [(*space.normal, space.bound) for space in spaces]
@@ -103,7 +104,7 @@ def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace], sweeps: int 
                 north, east, down = north - step * x, east - step * y, down - step * z
                 if not abs(step) <= most:
                     most = abs(step)
-        if most < SETTLED:
+        if most < BARRIER_TOLERANCE_M_S:
             break
     return north, east, down
 
@@ -113,7 +114,7 @@ def binding(velocity: Velocity, spaces: Sequence[HalfSpace]) -> tuple[int, ...]:
     return tuple(
         space.track
         for space in spaces
-        if space.track is not None and dot(space.normal, velocity) > space.bound + SETTLED
+        if space.track is not None and dot(space.normal, velocity) > space.bound + BARRIER_TOLERANCE_M_S
     )
 
 
@@ -148,12 +149,12 @@ def fence(
     north, east = position[0] - engaged[0], position[1] - engaged[1]
     away = math.hypot(north, east)
     spaces = [
-        HalfSpace((0.0, 0.0, 1.0), max(GAMMA * (lowest - position[2]), -pull)),
-        HalfSpace((0.0, 0.0, -1.0), max(GAMMA * (position[2] - highest), -pull)),
+        HalfSpace((0.0, 0.0, 1.0), max(BARRIER_GAMMA_PER_S * (lowest - position[2]), -pull)),
+        HalfSpace((0.0, 0.0, -1.0), max(BARRIER_GAMMA_PER_S * (position[2] - highest), -pull)),
     ]
     if away > 1e-3:
         outward = (north / away, east / away, 0.0)
-        spaces.append(HalfSpace(outward, max(GAMMA * (radius - away), -pull)))
+        spaces.append(HalfSpace(outward, max(BARRIER_GAMMA_PER_S * (radius - away), -pull)))
     return spaces
 
 
@@ -165,7 +166,7 @@ def leash(position: Velocity, place: Velocity, velocity: Velocity, most: float) 
     if away < 1e-3:
         return []
     outward = (north / away, east / away, 0.0)
-    return [HalfSpace(outward, max(GAMMA * (most - away) + dot(outward, velocity), 0.0))]
+    return [HalfSpace(outward, max(BARRIER_GAMMA_PER_S * (most - away) + dot(outward, velocity), 0.0))]
 
 
 def layer(down: float, least: float, most: float, *, speed: float, gain: float) -> list[HalfSpace]:

@@ -17,24 +17,23 @@ from collections import deque
 from typing import NamedTuple
 
 from swarmtrack.formation.law import saturated
+from swarmtrack.formation.margins import (
+    DIVERGENCE_AGREES_M_S,
+    DIVERGENCE_AGREES_S,
+    DIVERGENCE_DEMAND_SHARE,
+    DIVERGENCE_FARTHER_M,
+    DIVERGENCE_HOLDS_S,
+    DIVERGENCE_MEAN_S,
+    DIVERGENCE_NEARER_M,
+    DIVERGENCE_REPORTED_M_S,
+    DIVERGENCE_SHORTFALL_SHARE,
+    DIVERGENCE_WITHIN_S,
+    LONGEST_TIME_STEP_S,
+    MODEL_LAG_S,
+    MODEL_LEVEL_M_S2,
+    MODEL_VERTICAL_M_S2,
+)
 from swarmtrack.formation.setpoint import STILL, Velocity
-
-# s: of the first-order lag, that of an ArduPilot and of a PX4 as measured (`lab/world/response.py`: 0.6 to 0.8 s after
-# a step of 1.5 m/s) and the 0.15 s over which a velocity is measured; m/s²: level and vertical, the slower of both.
-LAG_S, LEVEL_M_S2, VERTICAL_M_S2 = 0.8, 2.1, 1.17
-# s: over which the difference is averaged; and a step is never longer.
-MEAN_S, LONGEST_STEP_S = 2.0, 0.3
-# Of the speed: a PX4 in its simulator falls short by 0.3 of it at first, by drag that its integral takes up within
-# seconds: half of that is left on the average.
-SHORT = 0.15
-# Of how far what it is told is from how it flies, averaged likewise: an autopilot at the limits of its acceleration and
-# jerk is modelled that badly.
-LIMITED = 0.5
-# m/s: more is said, once it is that much; and less than that ends it, once it has lasted so long [s].
-SAID_M_S, AGREES_M_S, AGREES_S = 0.6, 0.3, 3.0
-# m: so much farther off its slot within so many seconds, while it was told to come nearer by so much; and s: so long it
-# holds then, as who holds learns nothing new of it.
-FARTHER_M, WITHIN_S, NEARER_M, HOLDS_S = 1.0, 5.0, 2.0, 10.0
 
 
 class _Off(NamedTuple):
@@ -62,7 +61,7 @@ class DivergenceWatch:
     def see(self, t: float, told: Velocity, flown: Velocity, *, usable: bool = True) -> None:
         """told [m/s]: since the last time; flown [m/s]: over ground, by the own autopilot; usable: that is known."""
         dt = 0.0 if self._t is None else t - self._t
-        begins = self._t is None or not usable or not 0.0 <= dt <= LONGEST_STEP_S
+        begins = self._t is None or not usable or not 0.0 <= dt <= LONGEST_TIME_STEP_S
         self._t = t
         if begins:
             # From here on it has to become what is told.
@@ -70,7 +69,7 @@ class DivergenceWatch:
             return
         self._expected = _lagged(self._expected, told, dt)
         off = _beyond_short(_minus(flown, self._expected), self._expected)
-        share = min(dt / MEAN_S, 1.0)
+        share = min(dt / DIVERGENCE_MEAN_S, 1.0)
         self.difference = _plus(self.difference, _minus(off, self.difference), share)
         self._demand += share * (math.hypot(*_minus(told, self._expected)) - self._demand)
         self._judge(t)
@@ -82,15 +81,15 @@ class DivergenceWatch:
         if size > 0.0:
             closing = sum(e * v for e, v in zip(error, _minus(self._expected, along), strict=True)) / size
         before = self._way[-1] if self._way else None
-        if before is None or not 0.0 < t - before.t <= LONGEST_STEP_S:
+        if before is None or not 0.0 < t - before.t <= LONGEST_TIME_STEP_S:
             self._way.clear()
             self._way.append(_Off(t, size, 0.0))
             return
         self._way.append(_Off(t, size, before.nearer + (t - before.t) * closing))
-        while t - self._way[0].t > WITHIN_S:
+        while t - self._way[0].t > DIVERGENCE_WITHIN_S:
             first = self._way.popleft()
             farther, nearer = size - first.error, self._way[-1].nearer - first.nearer
-            if farther > FARTHER_M and nearer > NEARER_M:
+            if farther > DIVERGENCE_FARTHER_M and nearer > DIVERGENCE_NEARER_M:
                 self._parts = t, farther
                 self._way.clear()
                 return
@@ -99,36 +98,39 @@ class DivergenceWatch:
         """In words, what is said at t; None where it flies as it is told."""
         if self._said:
             return f"flies {math.hypot(*self.difference):.1f} m/s otherwise than told"
-        if self._parts is not None and 0.0 <= t - self._parts[0] < HOLDS_S:
+        if self._parts is not None and 0.0 <= t - self._parts[0] < DIVERGENCE_HOLDS_S:
             return f"{self._parts[1]:.1f} m farther off its slot, and was told to come nearer"
         return None
 
     def _judge(self, t: float) -> None:
         size = math.hypot(*self.difference)
-        if size > AGREES_M_S:
+        if size > DIVERGENCE_AGREES_M_S:
             self._agrees_since = None
-            self._said = self._said or size > SAID_M_S + LIMITED * self._demand
+            self._said = self._said or size > DIVERGENCE_REPORTED_M_S + DIVERGENCE_DEMAND_SHARE * self._demand
             return
         if self._agrees_since is None:
             self._agrees_since = t
-        if t - self._agrees_since >= AGREES_S:
+        if t - self._agrees_since >= DIVERGENCE_AGREES_S:
             self._said = False
 
 
 def _lagged(now: Velocity, told: Velocity, dt: float) -> Velocity:
     """How an autopilot flies dt [s] later."""
-    rate = saturated(((told[0] - now[0]) / LAG_S, (told[1] - now[1]) / LAG_S, 0.0), LEVEL_M_S2)
-    climb = min(max((told[2] - now[2]) / LAG_S, -VERTICAL_M_S2), VERTICAL_M_S2)
+    rate = saturated(
+        ((told[0] - now[0]) / MODEL_LAG_S, (told[1] - now[1]) / MODEL_LAG_S, 0.0), MODEL_LEVEL_M_S2
+    )
+    climb = min(max((told[2] - now[2]) / MODEL_LAG_S, -MODEL_VERTICAL_M_S2), MODEL_VERTICAL_M_S2)
     return now[0] + dt * rate[0], now[1] + dt * rate[1], now[2] + dt * climb
 
 
 def _beyond_short(off: Velocity, expected: Velocity) -> Velocity:
-    """What is left of a difference once a drone may fall short of the expected velocity by `SHORT` of it."""
+    """What is left of a difference once a drone may fall short of the expected velocity by `DIVERGENCE_SHORTFALL_SHARE`
+    of it."""
     speed = math.hypot(*expected)
     if speed <= 0.0:
         return off
     along = sum(a * b for a, b in zip(off, expected, strict=True)) / speed
-    forgiven = min(max(-along, 0.0), SHORT * speed) / speed
+    forgiven = min(max(-along, 0.0), DIVERGENCE_SHORTFALL_SHARE * speed) / speed
     return _plus(off, expected, forgiven)
 
 

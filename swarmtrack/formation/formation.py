@@ -9,8 +9,8 @@ Theory of operation. A command has five parts, in this order:
    through other drones' heights meets them where nobody looks.
 4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from
    everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down. Whoever is
-   kept clear of, nothing leads beyond the fence, nor farther than `MOST_ASIDE_M` from the slot (`Berth`), nor out of
-   the own height: who flies beside is out of sight, and kept apart by heights alone.
+   kept clear of, nothing leads beyond the fence, nor farther than `LED_MOST_ASIDE_M` from the slot (`Berth`), nor out
+   of the own height: who flies beside is out of sight, and kept apart by heights alone.
 5. The first camera turns to the references, and to where they were last expected.
 """
 
@@ -23,9 +23,6 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.formation.barrier import (
-    COMES_M_S,
-    SOON_S,
-    STEPS_ASIDE_M_S,
     HalfSpace,
     binding,
     excess,
@@ -40,41 +37,40 @@ from swarmtrack.formation.divergence import DivergenceWatch
 from swarmtrack.formation.escape import FreeHeights, room, way_out, who_collides
 from swarmtrack.formation.heights import HeightWatch
 from swarmtrack.formation.law import SeenReference, added, displacement, saturated, towards, turn_rate
+from swarmtrack.formation.margins import (
+    AT_HEIGHT_M,
+    BARRIERS_CONTRADICT_M_S,
+    COMING_SPEED_M_S,
+    COMING_WITHIN_S,
+    COMMAND_FADED_S,
+    COMMAND_FADES_S,
+    ESCAPE_GAIN_PER_S,
+    FARTHEST_SEEN_M,
+    FASTEST_OWN_SPEED_M_S,
+    HEADING_OR_LEAP_SETTLES_S,
+    HEIGHT_GAIN_PER_S,
+    LATE_INPUT_LASTS_S,
+    LED_BACK_WITHIN_S,
+    LED_MOST_ASIDE_M,
+    LONGEST_TIME_STEP_S,
+    OLDEST_GYRO_S,
+    OLDEST_POSE_S,
+    OLDEST_SCAN_S,
+    REFERENCE_DOUBTED_PROBABILITY,
+    SIDESTEP_SPEED_M_S,
+    VAGUEST_OWN_PLACE_M,
+    YAW_GAIN_PER_S,
+)
 from swarmtrack.formation.obstacles import Obstacle, obstacles
 from swarmtrack.formation.out_of_sight import OutOfSight
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
-from swarmtrack.formation.references import DOUBTED, ReferenceWatch
-from swarmtrack.formation.setpoint import FASTEST_M_S, NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
+from swarmtrack.formation.references import ReferenceWatch
+from swarmtrack.formation.setpoint import NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
 from swarmtrack.formation.squeezed import best_of, least_closing, no_faster_than_asked
 from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
-# s: of a pose, of the gyro, of a scan: older than this they tell nothing of now.
-OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
-# m: of a place that is known worse the fence means nothing, nor do heights that keep apart who fly beside each other.
-VAGUEST_PLACE_M = 1.0
-# s: so long after its heading stepped, or its place leapt, a drone does not fly by it.
-SETTLES_S = 3.0
-# s: with this time constant the last command fades, and s: then it is over. Who brakes harder tilts its camera away
-# from what it has just lost.
-FADE_S, FADED_S = 1.0, 2.0
-# 1/s, on the error of the height; and m: nearer to its height than this a drone may fly level.
-HEIGHT_GAIN, AT_HEIGHT_M = 0.8, 0.3
-# 1/s: of the room that is left up or down as much is used up, where somebody is about to collide.
-ESCAPE_GAIN = 3.0
-# 1/s, on the error of the heading.
-YAW_GAIN = 1.5
-# s: a step of time is never longer.
-LONGEST_STEP_S = 0.3
-# m/s: the sweeps of the barrier end so near to what they look for; farther off there is nothing to be found.
-CONTRADICTS = 0.05
-# m: so far from its slot a drone is led by whom it keeps clear of; who holds, from where it began to. And s: within so
-# long it is back, or what keeps it off is something else.
-MOST_ASIDE_M, BACK_S = 12.0, 10.0
-# m: who seems to be beyond could not be seen.
-FARTHEST_M = 1e3
-
-LATE_S = 0.5
-# What a busy computer or link delays for a moment: only where it lasts `LATE_S` it costs the references their trust.
+# What a busy computer or link delays for a moment: only where it lasts `LATE_INPUT_LASTS_S` it costs the references
+# their trust.
 LATE = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA)
 
 # Where one of these holds it, what the autopilot says of its velocity is not how it flies.
@@ -82,7 +78,7 @@ MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)
 
 HOLDS = {
     Why.OWN_POSE: "own position is old",
-    Why.VAGUE: f"own position is known worse than {VAGUEST_PLACE_M:g} m",
+    Why.VAGUE: f"own position is known worse than {VAGUEST_OWN_PLACE_M:g} m",
     Why.GYRO: "gyro is silent",
     Why.CAMERA: "camera is silent or stuck",
     Why.CLASH: "another process speaks as this drone",
@@ -211,7 +207,7 @@ class Formation:
         """s since the last command; 0 where time does not go on."""
         before, self._t = self._t, t
         passed = 0.0 if before is None else t - before
-        return min(passed, LONGEST_STEP_S) if passed > 0.0 else 0.0
+        return min(passed, LONGEST_TIME_STEP_S) if passed > 0.0 else 0.0
 
     # ── whom to fly by ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -251,7 +247,7 @@ class Formation:
             return why is not None
         if self._late_since is None:
             self._late_since = t
-        return t - self._late_since >= LATE_S
+        return t - self._late_since >= LATE_INPUT_LASTS_S
 
     def _forget(self) -> None:
         """What holds a drone costs its references their trust: it goes on once they have been sure for a while. What
@@ -270,7 +266,7 @@ class Formation:
             for entry in tracks
             if isinstance(entry.identity, int)
             and entry.identity_probability
-            > (DOUBTED if self._heights.knows(entry.identity) else self.parameters.sure)
+            > (REFERENCE_DOUBTED_PROBABILITY if self._heights.knows(entry.identity) else self.parameters.sure)
         }
         self._heights.see((sight for sight in own.height_sights if sight.drone_id in sure), t)
         self._divergence.see(t, self._flown, own.velocity, usable=why not in MOVES_UNKNOWN)
@@ -303,7 +299,7 @@ class Formation:
             return before if before is not None and before.holds else Berth(own.position, holds=True)
         slack = math.hypot(*slot.error)
         before = self._berth
-        if before is not None and not before.holds and 0.0 <= t - self._bent_at < BACK_S:
+        if before is not None and not before.holds and 0.0 <= t - self._bent_at < LED_BACK_WITHIN_S:
             slack = min(slack, before.slack)
         return Berth(added(own.position, slot.error), slot.velocity, slack)
 
@@ -311,11 +307,11 @@ class Formation:
         """Without a reference: the last command fades, then the drone holds."""
         lost_for = t - self._followed_at
         names = " and ".join(str(watch.drone_id) for watch in self._watches)
-        if 0.0 <= lost_for < FADED_S:
+        if 0.0 <= lost_for < COMMAND_FADED_S:
             north, east, _ = self._followed
             flown, followed = math.hypot(*self._flown[:2]), math.hypot(north, east)
             # Who had to brake meanwhile does not speed up again.
-            share = min(math.exp(-lost_for / FADE_S), flown / followed if followed > flown else 1.0)
+            share = min(math.exp(-lost_for / COMMAND_FADES_S), flown / followed if followed > flown else 1.0)
             return (share * north, share * east, 0.0), Why.FADE, f"drone {names} is lost: slows down"
         entering = [watch.drone_id for watch in self._watches if watch.entering]
         if entering:
@@ -330,7 +326,7 @@ class Formation:
         sways = own.sways if self._at_height else NO_SWAY
         off = self.parameters.down + sways.down - own.position[2]
         climb = self.parameters.limits.climb
-        down = min(max(HEIGHT_GAIN * off + sways.speed, -climb), climb)
+        down = min(max(HEIGHT_GAIN_PER_S * off + sways.speed, -climb), climb)
         if not self._at_height:
             self._at_height = abs(off) < AT_HEIGHT_M
         if why in HOLDS:
@@ -376,13 +372,15 @@ class Formation:
             held += height
             if self._berth is not None:
                 berth = self._berth
-                held += leash(own.position, berth.place, berth.velocity, MOST_ASIDE_M + berth.slack)
+                held += leash(own.position, berth.place, berth.velocity, LED_MOST_ASIDE_M + berth.slack)
         # What nobody is led beyond: where the barrier wants it otherwise, these have the last word.
         goal = nearest_velocity(goal, held)
         bent = self._limited(goal, held)
-        if excess(bent, clear) > CONTRADICTS:
+        if excess(bent, clear) > BARRIERS_CONTRADICT_M_S:
             closing = [other.not_to_close_in(self.parameters) for other in near]
-            if excess(goal, clear) > CONTRADICTS or excess(bent, closing) > max(excess(STILL, closing), 0.0):
+            if excess(goal, clear) > BARRIERS_CONTRADICT_M_S or excess(bent, closing) > max(
+                excess(STILL, closing), 0.0
+            ):
                 bent = self._squeezed(bent, near, closing, clear, held, up_or_down=up_or_down)
         step = stepped(self._flown, bent, limits.evasion * dt, held)
         return self._at_most(step), binding(velocity, spaces + clear)
@@ -442,10 +440,10 @@ class Formation:
         if self._escapes and self._at_height:
             free = self._room(own)
             least, most = min(free.highest, slot - AT_HEIGHT_M), max(free.lowest, slot + AT_HEIGHT_M)
-            return layer(own.position[2], least, most, speed=sways.speed, gain=ESCAPE_GAIN)
+            return layer(own.position[2], least, most, speed=sways.speed, gain=ESCAPE_GAIN_PER_S)
         begun = slot if self._at_height else engaged[2]
         least, most = min(slot, begun) - AT_HEIGHT_M, max(slot, begun) + AT_HEIGHT_M
-        return layer(own.position[2], least, most, speed=sways.speed, gain=HEIGHT_GAIN)
+        return layer(own.position[2], least, most, speed=sways.speed, gain=HEIGHT_GAIN_PER_S)
 
     def _in_the_way(
         self,
@@ -478,7 +476,7 @@ class Formation:
         limits = self.parameters.limits
         wanted = 0.0
         if math.hypot(north, east) > 1e-3:
-            wanted = turn_rate(math.atan2(east, north) - own.heading, YAW_GAIN, limits.yaw_rate)
+            wanted = turn_rate(math.atan2(east, north) - own.heading, YAW_GAIN_PER_S, limits.yaw_rate)
         return self._slewed_rate(wanted, dt)
 
     def _slewed_rate(self, wanted: float, dt: float) -> float:
@@ -499,11 +497,11 @@ def _aside(near: Sequence[Obstacle], wanted: Velocity, slot: SlotFlight | None =
     aside = STILL
     for other in near:
         north, east, down = (flies - wants for flies, wants in zip(other.velocity, wanted, strict=True))
-        lasts = SOON_S
-        if slot is not None and max(map(_level_speed, (other.velocity, slot.velocity))) < COMES_M_S:
+        lasts = COMING_WITHIN_S
+        if slot is not None and max(map(_level_speed, (other.velocity, slot.velocity))) < COMING_SPEED_M_S:
             lasts = slot.arrives
         aside = added(aside, sidestep(other.place, (north, east, down), lasts))
-    return saturated(aside, STEPS_ASIDE_M_S)
+    return saturated(aside, SIDESTEP_SPEED_M_S)
 
 
 def _level_speed(velocity: Velocity) -> float:
@@ -514,15 +512,15 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
     """Why this drone may not fly by what it sees; None where it may. Of several reasons the gravest. cameras: one of
     these has to be alive."""
     # Who doubts its start says that it knows its place to a kilometre: its autopilot still knows how it moves.
-    vague = not own.doubted and not own.position_sigma <= VAGUEST_PLACE_M
+    vague = not own.doubted and not own.position_sigma <= VAGUEST_OWN_PLACE_M
     reasons = (
         (not own.pose_age <= OLDEST_POSE_S, Why.OWN_POSE),
         (vague, Why.VAGUE),
         (not own.gyro_age <= OLDEST_GYRO_S, Why.GYRO),
         (not own.clock_known, Why.CLOCK),
         (own.clash, Why.CLASH),
-        (not own.heading_step_age >= SETTLES_S, Why.HEADING),
-        (not own.leap_age >= SETTLES_S, Why.LEAP),
+        (not own.heading_step_age >= HEADING_OR_LEAP_SETTLES_S, Why.HEADING),
+        (not own.leap_age >= HEADING_OR_LEAP_SETTLES_S, Why.LEAP),
         (own.doubted, Why.DOUBT),
         (not any(_is_new(own.scan_ages[camera]) for camera in cameras), Why.CAMERA),
     )
@@ -532,7 +530,7 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
 def lowest(limits: FlightLimits, own: OwnFlight) -> float:
     """m, down: the least height, by the own autopilot or above the ground that the range finder measures, whichever is
     higher."""
-    if own.ground is None or not 0.0 <= own.ground < FARTHEST_M:
+    if own.ground is None or not 0.0 <= own.ground < FARTHEST_SEEN_M:
         return -limits.least_height
     return min(0.0, own.position[2] + own.ground) - limits.least_height
 
@@ -556,7 +554,7 @@ def _usable(states: Mapping[int, RelativeState]) -> dict[int, RelativeState]:
             (cov * cov).sum(axis=(1, 2)),
         )
     # NaN fails every comparison.
-    usable = (far > 1e-4) & (far < FARTHEST_M**2) & (fast < FASTEST_M_S**2) & (wide < math.inf)
+    usable = (far > 1e-4) & (far < FARTHEST_SEEN_M**2) & (fast < FASTEST_OWN_SPEED_M_S**2) & (wide < math.inf)
     usable &= (cov.diagonal(axis1=1, axis2=2) >= 0.0).all(axis=1)
     return {
         track: state for (track, state), is_one in zip(states.items(), usable.tolist(), strict=True) if is_one

@@ -16,26 +16,25 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.formation.margins import (
+    HEIGHT_AGREES_M,
+    HEIGHT_CONSTANT_SIGMA_M,
+    HEIGHT_DRIFT_GONE_M,
+    HEIGHT_DRIFT_REPORTED_M,
+    HEIGHT_DRIFT_SIGMAS,
+    HEIGHT_DRIFT_STALE_S,
+    HEIGHT_FARTHEST_M,
+    HEIGHT_GATE_SIGMAS,
+    HEIGHT_LEAP_AFTER_S,
+    HEIGHT_LEAST_SIGMA_M,
+    HEIGHT_RATE_SIGMA_M_S,
+    HEIGHT_RATE_WALK_M_S_SQRT_S,
+    RANGE_ERROR_LASTS_S,
+    TILT_ERROR_LASTS_S,
+    TILT_ERROR_RAD,
+)
 from swarmtrack.relative.heights import HeightSight
 
-# m, m/s: by how much the constant may differ from the first sight; an honest barometer wanders by so much, one sigma.
-CONSTANT_M, RATE = 5.0, 0.05
-# m/s per √s: by which the rate of a drift changes: 0.1 m/s within 10 s.
-RATE_WALK = 0.03
-# rad, s: an autopilot's tilt is off by so much, for so long.
-TILT, TILT_S = math.radians(1.0), 20.0
-# s: so long the error of a distance stays the same.
-RANGE_S = 30.0
-# m: a drift is said from here on, and until it is less again; and it is surer than so many sigmas.
-SAID_M, GONE_M, SIGMAS = 0.5, 0.35, 3.0
-# Sigmas: a single sight that is farther off is a wrong box; s: where all are for so long, a height has leapt.
-GATE, LEAPS_S = 4.0, 1.0
-# s without a sight: then a drift is neither known nor said any more.
-STALE_S = 30.0
-# m: against a teammate that drifts less than this the own height is right, and another's is wrong.
-AGREES_M = 0.25
-# m: no height is measured better; and no teammate that is seen is farther, and no height more wrong.
-LEAST_SIGMA_M, FARTHEST_M = 0.01, 1e4
 # Of the state's entries, the first two.
 DRIFT, CLIMB = 0, 1
 
@@ -60,10 +59,14 @@ class HeightWatch:
 
     def see(self, sights: Iterable[HeightSight], t: float) -> None:
         """Of teammates that are surely named; the same sight twice counts once. t [s]: now."""
-        if any(abs(t - row.taken_t) > STALE_S for row in self._rows.values()):
-            self._rows = {drone: row for drone, row in self._rows.items() if abs(t - row.taken_t) <= STALE_S}
+        if any(abs(t - row.taken_t) > HEIGHT_DRIFT_STALE_S for row in self._rows.values()):
+            self._rows = {
+                drone: row
+                for drone, row in self._rows.items()
+                if abs(t - row.taken_t) <= HEIGHT_DRIFT_STALE_S
+            }
         for sight in sights:
-            if not _is_possible(sight) or not abs(t - sight.t) <= STALE_S:
+            if not _is_possible(sight) or not abs(t - sight.t) <= HEIGHT_DRIFT_STALE_S:
                 continue
             row = self._rows.get(sight.drone_id)
             if row is None or row.word != sight.word:
@@ -91,7 +94,7 @@ class HeightWatch:
         if not said or (not any(drift.said for drift in followed) and any(map(_agrees, followed))):
             return None
         worst = max(said, key=lambda drift: (drift.drone_id in self._references, abs(drift.off)))
-        if any(abs(drift.off) < AGREES_M for drift in drifts):
+        if any(abs(drift.off) < HEIGHT_AGREES_M for drift in drifts):
             whose = f"drone {worst.drone_id}'s"
         elif len(said) > 1:
             whose = "own"
@@ -109,7 +112,7 @@ class _Row:
         self.said = False
         # Of the constant nothing is known but this: somebody may have begun to count far above, or below.
         self.x = np.array([0.0, 0.0, sight.off, 0.0, 0.0])
-        self.P = np.diag([0.0, RATE**2, CONSTANT_M**2, TILT**2, 1.0])
+        self.P = np.diag([0.0, HEIGHT_RATE_SIGMA_M_S**2, HEIGHT_CONSTANT_SIGMA_M**2, TILT_ERROR_RAD**2, 1.0])
 
     @property
     def sigma(self) -> float:
@@ -121,8 +124,8 @@ class _Row:
         H = np.array([1.0, 0.0, 1.0, sight.level, sight.lever])
         innovation = sight.off - float(H @ self.x)
         S = float(H @ self.P @ H) + sight.sigma**2
-        if innovation**2 > GATE**2 * S:
-            if sight.t - self.taken_t < LEAPS_S:
+        if innovation**2 > HEIGHT_GATE_SIGMAS**2 * S:
+            if sight.t - self.taken_t < HEIGHT_LEAP_AFTER_S:
                 return
             self.P[DRIFT, DRIFT] += innovation**2
             S += innovation**2
@@ -133,28 +136,32 @@ class _Row:
         # Joseph form: stays symmetric and positive.
         self.P = A @ self.P @ A.T + sight.sigma**2 * np.outer(K, K)
         off, sigma = abs(float(self.x[DRIFT])), self.sigma
-        self.said = off > GONE_M if self.said else off > max(SAID_M, SIGMAS * sigma)
+        self.said = (
+            off > HEIGHT_DRIFT_GONE_M
+            if self.said
+            else off > max(HEIGHT_DRIFT_REPORTED_M, HEIGHT_DRIFT_SIGMAS * sigma)
+        )
 
     def _predict(self, dt: float) -> None:
-        tilt, distance = math.exp(-dt / TILT_S), math.exp(-dt / RANGE_S)
+        tilt, distance = math.exp(-dt / TILT_ERROR_LASTS_S), math.exp(-dt / RANGE_ERROR_LASTS_S)
         F = np.diag([1.0, 1.0, 1.0, tilt, distance])
         F[DRIFT, CLIMB] = dt
-        q = RATE_WALK**2
-        Q = np.diag([q * dt**3 / 3.0, q * dt, 0.0, TILT**2 * (1.0 - tilt**2), 1.0 - distance**2])
+        q = HEIGHT_RATE_WALK_M_S_SQRT_S**2
+        Q = np.diag([q * dt**3 / 3.0, q * dt, 0.0, TILT_ERROR_RAD**2 * (1.0 - tilt**2), 1.0 - distance**2])
         Q[DRIFT, CLIMB] = Q[CLIMB, DRIFT] = q * dt**2 / 2.0
         self.x = F @ self.x
         self.P = F @ self.P @ F.T + Q
 
 
 def _agrees(drift: HeightDrift) -> bool:
-    return abs(drift.off) < GONE_M
+    return abs(drift.off) < HEIGHT_DRIFT_GONE_M
 
 
 def _is_possible(sight: HeightSight) -> bool:
     """Whether these are numbers that a scan could tell; NaN fails every comparison."""
     lengths = (sight.sigma, sight.level, sight.lever)
     return (
-        abs(sight.off) < FARTHEST_M
-        and all(0.0 <= length < FARTHEST_M for length in lengths)
-        and sight.sigma >= LEAST_SIGMA_M
+        abs(sight.off) < HEIGHT_FARTHEST_M
+        and all(0.0 <= length < HEIGHT_FARTHEST_M for length in lengths)
+        and sight.sigma >= HEIGHT_LEAST_SIGMA_M
     )

@@ -14,11 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.formation.margins import STATE_LEAST_SIGMA
 from swarmtrack.formation.setpoint import Velocity
 from swarmtrack.messages import Array
-
-# m and m/s: nobody's place or velocity is known better.
-LEAST_SIGMA = 0.05
 
 
 class SeenReference(NamedTuple):
@@ -40,7 +38,7 @@ def _weighted(values: Sequence[tuple[Array, Array]]) -> Velocity:
     told = np.array([value for value, _ in values])
     mean = told[0]
     if len(values) > 1:
-        floor = LEAST_SIGMA**2 * np.eye(3)
+        floor = STATE_LEAST_SIGMA**2 * np.eye(3)
         try:
             weights = np.linalg.inv(np.array([cov for _, cov in values]) + floor)
             mean = np.linalg.solve(weights.sum(axis=0), np.einsum("nij,nj->i", weights, told))

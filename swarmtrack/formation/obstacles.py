@@ -8,16 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.formation.barrier import HalfSpace, keep_clear, not_closing
+from swarmtrack.formation.margins import (
+    OBSTACLE_NEARER_SIGMAS,
+    OBSTACLE_VAGUEST_LOG_RANGE,
+    OBSTACLE_VAGUEST_SPEED_M_S,
+    OBSTACLE_WATCHED_M,
+)
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import Velocity
 from swarmtrack.messages import RelativeState
-
-# m beyond the clearance: who is farther away need not be kept clear of.
-WATCHED_M = 6.0
-# Sigmas of ln(range) that somebody may be nearer than it seems; a range that is not known at all counts as 0.6.
-SIGMAS, VAGUEST_RANGE = 2.0, 0.6
-# m/s, one sigma: nobody's speed is taken to be known worse.
-VAGUEST_SPEED = 1.0
 
 
 class Obstacle(NamedTuple):
@@ -58,12 +57,14 @@ def obstacles(
         np.sqrt(np.maximum((d[:, :, None] * cov[:, k, k] * d[:, None, :]).sum(axis=(1, 2)), 0.0))
         for k in (slice(0, 3), slice(3, 6))
     )
-    nearest = distance * np.exp(-SIGMAS * np.minimum(place / distance, VAGUEST_RANGE))
+    nearest = distance * np.exp(
+        -OBSTACLE_NEARER_SIGMAS * np.minimum(place / distance, OBSTACLE_VAGUEST_LOG_RANGE)
+    )
     leaves = (d * v).sum(axis=1)
-    away = leaves - np.minimum(speed, VAGUEST_SPEED)
+    away = leaves - np.minimum(speed, OBSTACLE_VAGUEST_SPEED_M_S)
     columns = (r.tolist(), v.tolist(), d.tolist(), nearest.tolist(), away.tolist(), leaves.tolist())
     return [
         Obstacle(track, tuple(there), tuple(motion), tuple(ray), least, slow, expected)
         for track, there, motion, ray, least, slow, expected in zip(states, *columns, strict=True)
-        if least < clearance + WATCHED_M
+        if least < clearance + OBSTACLE_WATCHED_M
     ]

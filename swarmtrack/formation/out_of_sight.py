@@ -9,16 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.formation.barrier import COMES_M_S
+from swarmtrack.formation.margins import (
+    COMING_SPEED_M_S,
+    OUT_OF_SIGHT_ACCELERATION_M_S2,
+    OUT_OF_SIGHT_REMEMBERED_S,
+    OUT_OF_SIGHT_SAME_M,
+)
 from swarmtrack.formation.setpoint import OwnFlight, Velocity
 from swarmtrack.messages import Array, RelativeState
-
-# s: so long somebody is remembered.
-REMEMBERED_S = 3.0
-# m/s², one sigma: how somebody may change its velocity meanwhile.
-CHANGES = 0.3
-# m: who is seen so near to where somebody was expected is that one, on another track.
-SAME_M = 2.0
 
 
 class LastSight(NamedTuple):
@@ -60,7 +58,7 @@ class OutOfSight:
                 continue
             age = t - last.t
             # Clutter is over as soon as it came: nobody is remembered for longer than it was seen.
-            lasts = min(REMEMBERED_S, last.t - last.since, frame_age)
+            lasts = min(OUT_OF_SIGHT_REMEMBERED_S, last.t - last.since, frame_age)
             state = last.after(age, own) if 0.0 <= age < lasts else None
             if state is None or not _comes(last.state) or not _is_elsewhere(state, seen.values()):
                 del self._seen[track]
@@ -74,13 +72,13 @@ class OutOfSight:
 
 def _comes(state: RelativeState) -> bool:
     """Who did not come when it was last seen is in nobody's way."""
-    return float(state.position @ state.velocity) < -COMES_M_S * math.hypot(*state.position)
+    return float(state.position @ state.velocity) < -COMING_SPEED_M_S * math.hypot(*state.position)
 
 
 def _is_elsewhere(state: RelativeState, seen: Iterable[RelativeState]) -> bool:
     """Than this drone itself, and than all those who are seen."""
     return bool(state.position.any()) and all(
-        math.dist(state.position, other.position) >= SAME_M for other in seen
+        math.dist(state.position, other.position) >= OUT_OF_SIGHT_SAME_M for other in seen
     )
 
 
@@ -88,5 +86,8 @@ def _grown(cov: Array, age: float) -> Array:
     """(6, 6), after so many seconds of unknown acceleration."""
     F = np.eye(6)
     F[:3, 3:] = age * np.eye(3)
-    noise = np.diag([(0.5 * CHANGES * age * age) ** 2] * 3 + [(CHANGES * age) ** 2] * 3)
+    noise = np.diag(
+        [(0.5 * OUT_OF_SIGHT_ACCELERATION_M_S2 * age * age) ** 2] * 3
+        + [(OUT_OF_SIGHT_ACCELERATION_M_S2 * age) ** 2] * 3
+    )
     return F @ cov @ F.T + noise

@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 
+from swarmtrack.formation.margins import LIMIT_BOUNDS
+
 Place = tuple[float, float, float]
 
 
@@ -34,24 +36,12 @@ class FlightLimits:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            low, high = BOUNDS[entry.name]
+            low, high = LIMIT_BOUNDS[entry.name]
             value = getattr(self, entry.name)
             if not low <= value <= high:
                 raise ValueError(f"limits.{entry.name}: found {value!r}, expected {low:g} to {high:g}")
 
 
-BOUNDS = {
-    "speed": (0.1, 5.0),
-    "climb": (0.1, 2.0),
-    "acceleration": (0.2, 5.0),
-    # Never less than an acceleration may be; a fence asks for 2.5 m/s² at the highest speed.
-    "evasion": (5.0, 20.0),
-    "yaw_rate": (0.05, 1.5),
-    "yaw_acceleration": (0.2, 10.0),
-    "least_height": (0.5, 100.0),
-    "fence_radius": (2.0, 500.0),
-    "fence_height": (1.0, 100.0),
-}
 """Least and most of each limit."""
 
 

@@ -12,26 +12,19 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import NamedTuple
 
+from swarmtrack.formation.margins import (
+    LARGEST_SIZE_ERROR,
+    LEADER_GAP_S,
+    LEAST_MEAN_DIRECTION,
+    LONGEST_CHAIN_LINKS,
+    ONE_HEIGHT_M,
+    REFERENCE_VIEW_SHARE,
+    SLOTS_LEAST_APART_M,
+    TILT_GRAVITY_M_S2,
+    UNSEEN_NEIGHBOURS_M,
+)
 from swarmtrack.formation.parameters import Place
 from swarmtrack.relative.box_width import BoxWidth
-
-# m: two slots are never nearer, whatever their heights. Places are kept to about half a metre.
-LEAST_APART_M = 2.0
-# Of the half view: beyond it a reference is lost in the first gust.
-VIEW_SHARE = 0.8
-# m/s²: a drone tilts to accelerate, and its camera with it.
-GRAVITY_M_S2 = 9.81
-# From the leader on: the last of four in a row swings more than twice as far as the first.
-LONGEST_CHAIN = 3
-# Of the distance, by size: with 35 % every third flight lost a follower, with 15 % none did.
-LONGEST_SIZE_ERROR = 0.12
-# m: neighbours at one height that do not see each other came nearer than 1.5 m in 9 of 40 flights; with 1 m between
-# their heights in none.
-NEIGHBOURS_M, ONE_HEIGHT_M = 6.0, 0.5
-# s: a leader that covers its distance to a follower in less is upon it before the follower knows.
-GAP_S = 3.0
-# Length of the mean of the directions to the references, below which there is nowhere to turn to: of two, 145° apart.
-LEAST_MIDDLE = 0.3
 
 
 class HalfView(NamedTuple):
@@ -130,7 +123,7 @@ class FormationPlan:
     def most_speed(self) -> float:
         """m/s: as fast the leader may fly."""
         gaps = [look.distance for drone in self.followers for look in self.looks(drone)]
-        return min(gaps, default=math.inf) / GAP_S
+        return min(gaps, default=math.inf) / LEADER_GAP_S
 
 
 def plan_faults(plan: FormationPlan, span: float) -> list[PlanFault]:
@@ -144,8 +137,8 @@ def view_faults(
     """References that are too near to the border of each of this drone's views, or beyond it. acceleration [m/s²]: with
     which it flies, and for which it tilts."""
     faults = []
-    tilt = math.atan(acceleration / GRAVITY_M_S2)
-    if len(views) > 1 and math.hypot(*plan.middle(drone)) < LEAST_MIDDLE:
+    tilt = math.atan(acceleration / TILT_GRAVITY_M_S2)
+    if len(views) > 1 and math.hypot(*plan.middle(drone)) < LEAST_MEAN_DIRECTION:
         text = (
             "its references lie in opposite directions, expected a middle to which its first camera can turn"
         )
@@ -162,26 +155,33 @@ def view_faults(
 def share_of_view(look: LookAt, view: HalfView, tilt: float = 0.0) -> float:
     """How far a reference is off the axis, as a share of how far it may be."""
     right, up = view.where(look)
-    return max(abs(right) / (VIEW_SHARE * view.half_width), abs(up) / max(_most_up(view, tilt), 1e-3))
+    return max(
+        abs(right) / (REFERENCE_VIEW_SHARE * view.half_width), abs(up) / max(_most_up(view, tilt), 1e-3)
+    )
 
 
 def nearest_view(look: LookAt, views: Sequence[HalfView]) -> tuple[int, float]:
     """Which view has a reference nearest to its axis, and at which share of its half."""
     return min(
-        ((number, VIEW_SHARE * share_of_view(look, view)) for number, view in enumerate(views)),
+        ((number, REFERENCE_VIEW_SHARE * share_of_view(look, view)) for number, view in enumerate(views)),
         key=lambda one: one[1],
     )
 
 
 def _most_up(view: HalfView, tilt: float) -> float:
-    return min(VIEW_SHARE * view.half_height, view.half_height - tilt)
+    return min(REFERENCE_VIEW_SHARE * view.half_height, view.half_height - tilt)
 
 
 def _off_view(look: LookAt, view: HalfView, tilt: float, axis: str) -> Iterator[str]:
     right, up = view.where(look)
     sense = "above" if up > 0.0 else "below"
     for off, most, side, name in (
-        (right, VIEW_SHARE * view.half_width, "beside", f"{VIEW_SHARE:.0%} of half the view's width"),
+        (
+            right,
+            REFERENCE_VIEW_SHARE * view.half_width,
+            "beside",
+            f"{REFERENCE_VIEW_SHARE:.0%} of half the view's width",
+        ),
         (
             up,
             _most_up(view, tilt),
@@ -199,10 +199,10 @@ def _off_view(look: LookAt, view: HalfView, tilt: float, axis: str) -> Iterator[
 def range_faults(box_width: BoxWidth, *, told: bool) -> list[PlanFault]:
     """told: whether velocities or measured distances are told. Without, the size must tell the distance well enough."""
     error = math.hypot(box_width.drone_sigma, box_width.wander_sigma)
-    if told or error <= LONGEST_SIZE_ERROR:
+    if told or error <= LARGEST_SIZE_ERROR:
         return []
     text = (
-        f"the detector's boxes tell a distance to {error:.0%}, expected {LONGEST_SIZE_ERROR:.0%} or better "
+        f"the detector's boxes tell a distance to {error:.0%}, expected {LARGEST_SIZE_ERROR:.0%} or better "
         '([detector.box_width]), or [team] share = "velocity", or ranging = true where drones have ranging radios'
     )
     return [PlanFault(("leader",), text)]
@@ -213,15 +213,15 @@ def neighbours_at_one_height(plan: FormationPlan) -> Iterator[tuple[int, int, fl
     for one, other in combinations(plan.followers, 2):
         north, east, down = _minus(plan.slots[one], plan.slots[other])
         sees = other in plan.references[one] or one in plan.references[other]
-        if abs(down) < ONE_HEIGHT_M and math.hypot(north, east) < NEIGHBOURS_M and not sees:
+        if abs(down) < ONE_HEIGHT_M and math.hypot(north, east) < UNSEEN_NEIGHBOURS_M and not sees:
             yield one, other, math.hypot(north, east)
 
 
 def _slot_faults(plan: FormationPlan) -> Iterator[PlanFault]:
     for one, other in combinations(sorted(plan.slots), 2):
         apart = math.dist(plan.slots[one], plan.slots[other])
-        if apart < LEAST_APART_M:
-            text = f"{apart:.1f} m from the slot of drone {one}, expected {LEAST_APART_M:g} m or more"
+        if apart < SLOTS_LEAST_APART_M:
+            text = f"{apart:.1f} m from the slot of drone {one}, expected {SLOTS_LEAST_APART_M:g} m or more"
             yield PlanFault(("slots", str(other if other != plan.leader else one)), text)
     for drone in plan.slots:
         if plan.height_of(drone) < plan.least_height:
@@ -240,8 +240,9 @@ def _chain_faults(plan: FormationPlan) -> Iterator[PlanFault]:
             yield PlanFault(
                 key, f"drone {drone} does not hang on the leader {plan.leader}, expected that all do"
             )
-        elif links[drone] >= LONGEST_CHAIN:
-            text = f"drone {drone} is the {links[drone] + 1}th of a chain, expected {LONGEST_CHAIN} with the leader"
+        elif links[drone] >= LONGEST_CHAIN_LINKS:
+            place = f"drone {drone} is the {links[drone] + 1}th of a chain"
+            text = f"{place}, expected {LONGEST_CHAIN_LINKS} with the leader"
             yield PlanFault(key, text)
 
 

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 import math
 
+from swarmtrack.formation.margins import (
+    REFERENCE_DOUBTED_PROBABILITY,
+    REFERENCE_ENTRY_S,
+    REFERENCE_JUMP_M,
+    REFERENCE_JUMP_M_S,
+    REFERENCE_KNOWN_PROBABILITY,
+    REFERENCE_NOSE_KEPT_S,
+    REFERENCE_UNSEEN_S,
+    REFERENCE_VAGUE_LOG_RANGE,
+)
 from swarmtrack.formation.setpoint import OwnFlight, Velocity
 from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
-
-# A name comes in when it was surer than the parameters' `sure` for so many seconds. A track that was flown by before is
-# known: its name comes back at KNOWN, and one that is flown by goes out below DOUBTED.
-ENTRY_S = 1.0
-KNOWN, DOUBTED = 0.95, 0.9
-# s without a detection: then where it is is not known well enough any more.
-UNSEEN_S = 1.5
-# Of ln(range): a range that is known no better is none.
-VAGUE_RANGE = 0.5
-# m, and m/s: a reference that is this much elsewhere than it was expected is another drone.
-JUMP_M, JUMP_SPEED = 2.0, 3.0
-# s: so long the nose is kept to where it was last seen.
-LOOKED_AFTER_S = 4.0
 
 
 class ReferenceWatch:
@@ -46,7 +43,8 @@ class ReferenceWatch:
         self._known_track = self.camera = None
 
     def restart(self) -> None:
-        """Nobody bears its name, or it has not been seen for too long: that has to hold for `ENTRY_S` again."""
+        """Nobody bears its name, or it has not been seen for too long: that has to hold for `REFERENCE_ENTRY_S`
+        again."""
         self.trusted = self.entering = False
         self._track = self._sure_since = None
 
@@ -54,8 +52,8 @@ class ReferenceWatch:
         """It bears the name now."""
         self.camera = entry.track.camera
         coasting = entry.track.coasting_since
-        unseen = coasting is not None and t - coasting > UNSEEN_S
-        vague = not state.range_sigma_log < VAGUE_RANGE
+        unseen = coasting is not None and t - coasting > REFERENCE_UNSEEN_S
+        vague = not state.range_sigma_log < REFERENCE_VAGUE_LOG_RANGE
         if unseen or vague or entry.track.status is TrackStatus.TENTATIVE:
             self.restart()
             return
@@ -72,11 +70,15 @@ class ReferenceWatch:
         self._velocity = (own.velocity[0] + vn, own.velocity[1] + ve, own.velocity[2] + vd)
         # While it is not detected its probability falls with the track's own, which says nothing against the name.
         p = entry.identity_probability if coasting is None or self._sure_since is None else 1.0
-        if p > (min(self._sure, KNOWN) if entry.track.id == self._known_track else self._sure):
+        if p > (
+            min(self._sure, REFERENCE_KNOWN_PROBABILITY)
+            if entry.track.id == self._known_track
+            else self._sure
+        ):
             self._sure_since = t if self._sure_since is None else self._sure_since
-        elif p < DOUBTED or not self.trusted:
+        elif p < REFERENCE_DOUBTED_PROBABILITY or not self.trusted:
             self._sure_since = None
-        lasts = self._sure_since is not None and t - self._sure_since >= ENTRY_S
+        lasts = self._sure_since is not None and t - self._sure_since >= REFERENCE_ENTRY_S
         # A missed detection ends no trust, and begins none.
         self.trusted = lasts and (self.trusted or coasting is None)
         self.entering = not self.trusted
@@ -84,9 +86,9 @@ class ReferenceWatch:
             self._known_track = entry.track.id
 
     def direction(self, own: OwnFlight, t: float) -> tuple[float, float] | None:
-        """North and east, of length 1, to where it is or was last expected; None after `LOOKED_AFTER_S`."""
+        """North and east, of length 1, to where it is or was last expected; None after `REFERENCE_NOSE_KEPT_S`."""
         age = t - self._placed_at
-        if not 0.0 <= age < LOOKED_AFTER_S:
+        if not 0.0 <= age < REFERENCE_NOSE_KEPT_S:
             return None
         north = self._place[0] + age * self._velocity[0] - own.position[0]
         east = self._place[1] + age * self._velocity[1] - own.position[1]
@@ -95,9 +97,9 @@ class ReferenceWatch:
 
     def _is_elsewhere(self, place: Velocity, t: float) -> bool:
         age = t - self._placed_at
-        if not 0.0 <= age < LOOKED_AFTER_S:
+        if not 0.0 <= age < REFERENCE_NOSE_KEPT_S:
             return False
         moved = [
             there - here - age * v for there, here, v in zip(place, self._place, self._velocity, strict=True)
         ]
-        return math.hypot(*moved) > JUMP_M + JUMP_SPEED * age
+        return math.hypot(*moved) > REFERENCE_JUMP_M + REFERENCE_JUMP_M_S * age

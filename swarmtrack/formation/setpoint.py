@@ -7,12 +7,11 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from swarmtrack.formation.margins import FARTHEST_FROM_ORIGIN_M, FASTEST_OWN_SPEED_M_S
 from swarmtrack.relative.heights import HeightSight
 
 Velocity = tuple[float, float, float]
 STILL: Velocity = (0.0, 0.0, 0.0)
-# m from the team frame's origin, and m/s: no drone is beyond.
-FARTHEST_OUT_M, FASTEST_M_S = 1e6, 60.0
 
 
 class Why(enum.StrEnum):
@@ -87,8 +86,8 @@ class OwnFlight:
     def is_possible(self) -> bool:
         """Whether these are numbers that a drone could have."""
         north, east, down = self.velocity
-        near = all(abs(x) < FARTHEST_OUT_M for x in self.position)
-        return near and math.hypot(north, east, down) < FASTEST_M_S and math.isfinite(self.heading)
+        near = all(abs(x) < FARTHEST_FROM_ORIGIN_M for x in self.position)
+        return near and math.hypot(north, east, down) < FASTEST_OWN_SPEED_M_S and math.isfinite(self.heading)
 
 
 class Setpoint(NamedTuple):

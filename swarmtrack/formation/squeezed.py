@@ -4,8 +4,8 @@ The half-spaces of the barrier then have nothing in common, and Hildreth's sweep
 it may fly into one of two. Here each that keeps clear of somebody is relaxed by the same t [m/s], and the answer is the
 velocity of the least t; of those the nearest to `goal`. The limits (fence, height, speed) are not relaxed.
 
-It is again a projection onto half-spaces, of (goal, -REACH_M_S) in the space of (v, t), and there they always meet. The
-ball of speeds has a correction of its own, as in Boyle & Dykstra (1986).
+It is again a projection onto half-spaces, of (goal, -SQUEEZE_REACH_M_S) in the space of (v, t), and there they always
+meet. The ball of speeds has a correction of its own, as in Boyle & Dykstra (1986).
 """
 
 from __future__ import annotations
@@ -15,14 +15,8 @@ from collections.abc import Sequence
 
 from swarmtrack.formation.barrier import HalfSpace, excess
 from swarmtrack.formation.law import dot, saturated
+from swarmtrack.formation.margins import SQUEEZE_REACH_M_S, SQUEEZE_SWEEPS, SQUEEZE_TOLERANCE_M_S
 from swarmtrack.formation.setpoint import STILL, Velocity
-
-# m/s: from so far below t is projected. Less of it follows the goal, at the cost of t. With these the worst closing
-# speed is the least in nearly all of random squeezes, and 0.2 m/s above it in the worst.
-REACH_M_S = 20.0
-SWEEPS = 40
-# m/s: so little a sweep changes when it has found the answer.
-SETTLED = 1e-3
 
 
 def least_closing(
@@ -31,13 +25,13 @@ def least_closing(
     """About the velocity whose largest `excess` over `near` is the least, within `limits`, which all allow to stand,
     and no faster than `fastest` [m/s]."""
     north, east, down = goal
-    t = -REACH_M_S
+    t = -SQUEEZE_REACH_M_S
     rows = [(*space.normal, space.bound) for space in near]
     # At most so fast no other limit is met.
     fixed = [(*space.normal, space.bound) for space in limits if space.bound < fastest]
     pushed, held = [0.0] * len(rows), [0.0] * len(fixed)
     back = STILL
-    for _ in range(SWEEPS):
+    for _ in range(SQUEEZE_SWEEPS):
         most = 0.0
         # Spelled out as in `nearest_velocity`, and for the same reason.
         for k, (x, y, z, bound) in enumerate(rows):
@@ -58,7 +52,7 @@ def least_closing(
         now = beyond[0] - north, beyond[1] - east, beyond[2] - down
         most = max(most, math.dist(now, back))
         back = now
-        if most < SETTLED:
+        if most < SQUEEZE_TOLERANCE_M_S:
             break
     return north, east, down
 

@@ -23,7 +23,8 @@ from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.outputs.flight_end import FlightEnd
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
-from swarmtrack.transport.sender_clock import REPORTED_CLOCKS_AGREE_S, SenderClock
+from swarmtrack.transport.limits import REPORTED_CLOCKS_AGREE_S
+from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.camera import CameraMessage

@@ -5,13 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from swarmtrack.formation.plan import (
-    VIEW_SHARE,
-    FormationPlan,
-    HalfView,
-    nearest_view,
-    neighbours_at_one_height,
-)
+from swarmtrack.formation.margins import REFERENCE_VIEW_SHARE
+from swarmtrack.formation.plan import FormationPlan, HalfView, nearest_view, neighbours_at_one_height
 
 # Signs of the text's drawing, at most; a sign is twice as high as wide.
 COLUMNS, ROWS = 61, 21
@@ -97,7 +92,8 @@ def as_svg(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> str:
         *_panel(plan, drone, views, scale, 0.0, above=True),
         *_panel(plan, drone, views, scale, PANEL, above=False),
         f'<text x="{0.5 * MARGIN:.0f}" y="{PANEL + 24.0:.0f}">grid of {metres} m; heights above the team '
-        f"frame's origin; shaded: {VIEW_SHARE:.0%} of {'the view' if len(views) == 1 else 'each view'} of drone "
+        f"frame's origin; shaded: {REFERENCE_VIEW_SHARE:.0%} of "
+        f"{'the view' if len(views) == 1 else 'each view'} of drone "
         f"{drone}</text>",
         "</svg>",
     ]
@@ -155,7 +151,7 @@ def _wedge(plan: FormationPlan, drone: int, view: HalfView, scale: float, corner
     look = plan.looks(drone)[0]
     there, here = plan.slots[look.reference], plan.slots[drone]
     middle = math.atan2(there[1] - here[1], there[0] - here[0]) - look.right + view.right
-    half, x, y = VIEW_SHARE * view.half_width, *corner
+    half, x, y = REFERENCE_VIEW_SHARE * view.half_width, *corner
     length = scale * (max(look.distance for look in plan.looks(drone)) + 0.5)
     turns = [middle + half * (k / ARC_STEPS - 1.0) for k in range(2 * ARC_STEPS + 1)]
     border = "".join(f"L{x + length * math.sin(a):.1f} {y - length * math.cos(a):.1f}" for a in turns)

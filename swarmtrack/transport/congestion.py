@@ -16,17 +16,14 @@ import statistics
 import struct
 from collections import deque
 from collections.abc import Collection, Mapping
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
+from swarmtrack.transport.limits import CONGESTION_SAMPLES, ROUND_TRIP_MEAN_WEIGHT, SIGN_OF_LIFE_S
 from swarmtrack.transport.own_sockets import own_streams
 
-SAMPLES: Final = 3
-# s without an answer to what was sent, while it could be that nothing was sent.
-SIGNS_OF_LIFE_S: Final = 0.5
 # In `struct tcp_info`: packets without an answer; ms since the last answer; the mean of round trips, us; bytes not sent
 # yet; the shortest round trip, us.
 _UNANSWERED, _LAST_ANSWER, _RTT, _UNSENT, _MIN_RTT, _SIZE = 24, 56, 68, 144, 148, 152
-_MEAN_WEIGHT: Final = 8  # the mean moves by an eighth of what a new sample is off
 
 
 class Sent(NamedTuple):
@@ -61,15 +58,17 @@ class Congestion:
             del self._means[gone], self._delays[gone]
         for name, sent in links.items():
             before = self._means.get(name)
-            delays = self._delays.setdefault(name, deque(maxlen=SAMPLES))
+            delays = self._delays.setdefault(name, deque(maxlen=CONGESTION_SAMPLES))
             if before is None or sent.rtt_s != before:
-                last = sent.rtt_s if before is None else before + _MEAN_WEIGHT * (sent.rtt_s - before)
+                last = (
+                    sent.rtt_s if before is None else before + ROUND_TRIP_MEAN_WEIGHT * (sent.rtt_s - before)
+                )
                 delays.append(max(0.0, last - sent.min_rtt_s))
             self._means[name] = sent.rtt_s
         late: dict[str, list[float]] = {}
         for name, sent in links.items():
             late.setdefault(sent.own, []).append(
-                max(min(self._delays[name]), sent.unanswered_s - SIGNS_OF_LIFE_S)
+                max(min(self._delays[name]), sent.unanswered_s - SIGN_OF_LIFE_S)
             )
         return Waiting(
             max(map(statistics.median_low, late.values()), default=0.0),

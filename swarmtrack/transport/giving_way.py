@@ -15,16 +15,15 @@ import zenoh
 from swarmtrack.clock import Clock
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.congestion import Congestion, look_at_links
+from swarmtrack.transport.limits import PACE_CHECK_PERIOD_S, PACE_LOG_QUIET_S
 from swarmtrack.transport.pacing import Pacing
 from swarmtrack.transport.settings import Mode, NetworkSettings
 
 log = logging.getLogger(__name__)
 
-LOOK_S: Final = 0.2
 PACED: Final = (Kind.TRACKS, Kind.VIDEO)
 Channel = tuple[Kind, int]
 """A kind of message, and of pictures of which camera."""
-QUIET_S: Final = 60.0  # after which it is worth a line of the log again
 
 
 class GivingWay:
@@ -85,7 +84,7 @@ class GivingWay:
     async def run(self, session: zenoh.Session, teammates: Callable[[], int]) -> None:
         """Until cancelled. teammates: how many live."""
         while True:
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(PACE_CHECK_PERIOD_S)
             if self._listened:
                 self._look(session, teammates())
 
@@ -100,7 +99,7 @@ class GivingWay:
             self._pacing.begin()
         self._pacing.look(self._congestion.see(look_at_links(self._streams)), now)
         if self._pacing.gives_way:
-            if now - self._gave_way_at > QUIET_S:
+            if now - self._gave_way_at > PACE_LOG_QUIET_S:
                 log.warning("network: the radio is full: tracks are said less often")
             self._gave_way_at = now
 

@@ -6,13 +6,11 @@ import asyncio
 import itertools
 import logging
 from collections.abc import Awaitable, Callable
-from typing import Final
 
 from swarmtrack.errors import TransportError
+from swarmtrack.transport.limits import REJOIN_PERIOD_S
 
 log = logging.getLogger(__name__)
-
-REJOIN_S: Final = 1.0  # between two attempts
 
 
 async def keep_joining(join: Callable[[], Awaitable[None]]) -> None:
@@ -22,4 +20,4 @@ async def keep_joining(join: Callable[[], Awaitable[None]]) -> None:
             return await join()
         except TransportError as error:
             log.log(logging.INFO if attempt else logging.WARNING, "%s; we keep trying", error)
-        await asyncio.sleep(REJOIN_S)
+        await asyncio.sleep(REJOIN_PERIOD_S)

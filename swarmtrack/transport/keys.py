@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 
 from swarmtrack.messages import MOST_CAMERAS
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.limits import USUAL_KEY_LENGTH
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.codec import Message
@@ -21,7 +22,6 @@ from swarmtrack.wire.video import VideoMessage
 
 ROOT = "swarmtrack"
 VERSION = "v1"
-USUAL_LENGTH = 128  # of a key; whoever makes up longer ones shall not fill our memory
 ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
 NOTHING_YET = b"nothing announced yet"  # the answer of who has no pose to tell: it hears the question
 
@@ -97,7 +97,7 @@ def all_but_video(team: str) -> list[str]:
 
 def parse(text: str) -> Address | None:
     """The key's parts, or None where it is none of ours."""
-    return _parsed(text) if len(text) <= USUAL_LENGTH else _parsed.__wrapped__(text)
+    return _parsed(text) if len(text) <= USUAL_KEY_LENGTH else _parsed.__wrapped__(text)
 
 
 @lru_cache(maxsize=1024)  # a team says the same few again and again

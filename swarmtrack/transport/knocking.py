@@ -15,11 +15,9 @@ import contextlib
 import ipaddress
 import socket
 from collections.abc import Callable, Collection
-from typing import Final
 
+from swarmtrack.transport.limits import KNOCK_PERIOD_S
 from swarmtrack.transport.settings import parse_endpoint
-
-PERIOD_S: Final = 1.0  # a kernel asks no more often
 
 
 async def keep_knocking(callers: Collection[str], linked: Callable[[], Collection[str]]) -> None:
@@ -30,7 +28,7 @@ async def keep_knocking(callers: Collection[str], linked: Callable[[], Collectio
         for host, port in doors:
             if host not in hosts:
                 _knock(host, port)
-        await asyncio.sleep(PERIOD_S)
+        await asyncio.sleep(KNOCK_PERIOD_S)
 
 
 def _door(caller: str) -> tuple[str, int] | None:

@@ -7,20 +7,18 @@ import itertools
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Final
 
 import zenoh
 
+from swarmtrack.transport.limits import (
+    DATAGRAM_LINK_CHECKS,
+    LINK_CHECK_PERIOD_S,
+    LINK_NAMES_SHOWN,
+    LINK_START_CHECKS,
+)
 from swarmtrack.transport.settings import Mode, NetworkSettings, parse_endpoint
 
 log = logging.getLogger(__name__)
-
-PERIOD_S: Final = 1.0
-PATIENCE: Final = 10  # periods: whoever starts with us is there by then
-NO_DATAGRAMS: Final = (
-    45  # periods without a link for datagrams; after a renewal of keys half a minute is usual
-)
-SHOWN: Final = 8  # names in one line
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,8 @@ class LinkWatch:
     async def run(self, look: Callable[[], LinksUp]) -> None:
         """Until cancelled."""
         for period in itertools.count(1):
-            await asyncio.sleep(PERIOD_S)
-            for line in self.news(look(), patient=period < PATIENCE):
+            await asyncio.sleep(LINK_CHECK_PERIOD_S)
+            for line in self.news(look(), patient=period < LINK_START_CHECKS):
                 log.warning(line)
 
     def news(self, up: LinksUp, *, patient: bool) -> list[str]:
@@ -87,7 +85,7 @@ class LinkWatch:
         """Once for each peer that has had none for a while."""
         without = self.streams_only(up)
         self._streams_only = {name: self._streams_only.get(name, 0) + 1 for name in without}
-        new = {name for name, periods in self._streams_only.items() if periods == NO_DATAGRAMS}
+        new = {name for name, periods in self._streams_only.items() if periods == DATAGRAM_LINK_CHECKS}
         if not new:
             return []
         return [
@@ -127,5 +125,5 @@ class LinkWatch:
 
 def _listed(names: set[str] | frozenset[str]) -> str:
     shown = sorted(names, key=lambda name: (len(name), name))
-    more = f" and {len(shown) - SHOWN} more" if len(shown) > SHOWN else ""
-    return ", ".join(shown[:SHOWN]) + more
+    more = f" and {len(shown) - LINK_NAMES_SHOWN} more" if len(shown) > LINK_NAMES_SHOWN else ""
+    return ", ".join(shown[:LINK_NAMES_SHOWN]) + more

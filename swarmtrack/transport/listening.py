@@ -14,9 +14,8 @@ from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.security.names import Role
 from swarmtrack.transport import topology
+from swarmtrack.transport.limits import MOST_TEAMS_NAMED
 from swarmtrack.transport.settings import NetworkSettings
-
-MOST_NAMED = 5  # teams
 
 
 def network_of_listener(
@@ -106,8 +105,8 @@ def hint_at(others: Sequence[str]) -> str:
     """Words for somebody who named the wrong team, or nothing."""
     if not others:
         return ""
-    named = ", ".join(plain(other, 64) for other in others[:MOST_NAMED])
-    more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
+    named = ", ".join(plain(other, 64) for other in others[:MOST_TEAMS_NAMED])
+    more = f" and {len(others) - MOST_TEAMS_NAMED} more" if len(others) > MOST_TEAMS_NAMED else ""
     return f"heard are drones of {named}{more}: --team {plain(others[0], 64)}"
 
 

@@ -22,6 +22,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from swarmtrack.messages import Announcement, IdClash, PeerArrived, PeerDeparted, PeerEvent
+from swarmtrack.transport.limits import MAX_BOOTS_PER_ID, MAX_PEERS, OLD_BOOT_ON_ITS_WAY_S
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.motion import MotionMessage
@@ -29,12 +30,8 @@ from swarmtrack.wire.sightings import SightingsMessage
 
 Numbered = AnnouncementMessage | SightingsMessage | MotionMessage
 
-MAX_PEERS = 1024  # live IDs; beyond it is an attack or a mistake
 # As counters name them.
 _NAMES = {AnnouncementMessage: "announcements", SightingsMessage: "sightings", MotionMessage: "motion"}
-MAX_BOOTS = 4  # of one ID at a time
-# s after a newer boot's token: what an older one still says was not on its way already.
-ON_ITS_WAY_S = 0.5
 
 
 @dataclass(slots=True)
@@ -71,7 +68,7 @@ class Membership:
         lives = self._lives.get(drone_id, {})
         if boot in lives:
             return []
-        if len(lives) >= MAX_BOOTS or (not lives and len(self._lives) >= MAX_PEERS):
+        if len(lives) >= MAX_BOOTS_PER_ID or (not lives and len(self._lives) >= MAX_PEERS):
             self.counters["tokens_beyond_limit"] += 1
             return []
         self._lives[drone_id] = {**lives, boot: LiveBoot()}
@@ -146,7 +143,7 @@ class Membership:
         """Whose message it is that came on a key of `key_id` at t [s]; None where it does not count, and is counted."""
         since = self._contested.get(key_id, t)
         is_older = message.boot != self._believed.get(key_id) and message.boot in self._lives.get(key_id, {})
-        if is_older and t - since > ON_ITS_WAY_S:
+        if is_older and t - since > OLD_BOOT_ON_ITS_WAY_S:
             self._contested[key_id] = t - self._clash_s
         reason = self._refusal(key_id, message)
         if reason is not None:

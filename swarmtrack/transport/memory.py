@@ -15,11 +15,9 @@ from swarmtrack.clock import Clock
 from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import PUBLISHED, Kind
+from swarmtrack.transport.limits import MEMORY_CLASH_S
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
-
-# s that two boots of one ID may live beside each other. Nothing here takes time, but a restart in two steps.
-CLASH_S = 0.1
 
 
 class MemoryHub:
@@ -120,7 +118,9 @@ class MemoryTransport:
         self.token = keys.key(team, Kind.ALIVE, drone_id, boot)
         self._hub = hub
         self._clock = clock
-        self._peers = Peers(team, drone_id, boot, clock, verify, clash_s=CLASH_S, lease_s=CLASH_S)
+        self._peers = Peers(
+            team, drone_id, boot, clock, verify, clash_s=MEMORY_CLASH_S, lease_s=MEMORY_CLASH_S
+        )
         self._outgoing = Outgoing(team, drone_id, boot, clock, sign)
         self._reconciliation: asyncio.Task[None] | None = None
         self._published: Counter[str] = Counter()

@@ -5,21 +5,17 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable
-from typing import Final
 
 from swarmtrack.clock import Clock
 from swarmtrack.messages import Announcement
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.limits import ANNOUNCEMENT_REQUEST_PERIOD_S, ANSWER_FRESH_S, ANSWERS_PER_S
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import announcement_message, sign_announcement
 
 Sign = Callable[[bytes], bytes]
 """Bytes to an Ed25519 signature."""
-
-REQUEST_S: Final = 1.0  # between two requests to announce anew, at both ends
-_FRESH_S: Final = 0.05  # s for which the same bytes are told again: a flood of questions costs no encoding
-_ANSWERS_PER_S: Final = 256  # more than a hundred newcomers ask at once; whoever is refused asks again
 
 
 class _Budget:
@@ -35,7 +31,7 @@ class _Budget:
         if now - self._since >= 1.0:
             self._since, self._answers = now, 0
         self._answers += 1
-        return self._answers <= _ANSWERS_PER_S
+        return self._answers <= ANSWERS_PER_S
 
 
 class Outgoing:
@@ -109,7 +105,7 @@ class Outgoing:
         """Whether to heed one who wants us to announce anew: once a second, and if there is anything to renew."""
         with self._lock:
             now = self._clock.now()
-            soon = self._requested_at is not None and now - self._requested_at < REQUEST_S
+            soon = self._requested_at is not None and now - self._requested_at < ANNOUNCEMENT_REQUEST_PERIOD_S
             if soon or self._announcement is None:
                 self._counters["requests_ignored"] += 1
                 return False
@@ -131,7 +127,7 @@ class Outgoing:
     def _tell(self) -> bytes | None:
         if self._announcement is None:
             return None
-        if self._clock.now() - self._encoded_at > _FRESH_S:
+        if self._clock.now() - self._encoded_at > ANSWER_FRESH_S:
             self._encode(self._announcement)
         self._counters["announcements_sent"] += 1
         self._counters["announcement_bytes_total"] += len(self._encoded)

@@ -15,19 +15,20 @@ Pure state; times by any clock [s].
 from __future__ import annotations
 
 import math
-from typing import Final
 
 from swarmtrack.transport.congestion import Waiting
-
-LATE_S: Final = 0.25  # packets wait: far beyond what a radio that sleeps between beacons adds
-UNSENT: Final = 2048  # bytes that TCP could not send yet: a quarter of a second of 64 kbit/s
-HOLD_S: Final = 0.6  # between two cuts: until the first is felt
-FIRST_BYTES_S: Final = 2000.0
-FLOOR_BYTES_S: Final = 1000.0
-QUICK, CAREFUL = 8.0, 1.2  # growth in a second: before packets waited, and after
-BURST_S: Final = 0.2
-ENOUGH: Final = 2.0  # times what is asked for: no limit then
-OVERHEAD: Final = 80  # bytes of each message below Zenoh: QUIC or TCP and TLS, IP, the radio's header
+from swarmtrack.transport.limits import (
+    MESSAGE_OVERHEAD_BYTES,
+    PACE_BURST_S,
+    PACE_CAREFUL_GROWTH,
+    PACE_CUT_HOLD_S,
+    PACE_FIRST_BYTES_PER_S,
+    PACE_LEAST_BYTES_PER_S,
+    PACE_QUICK_GROWTH,
+    PACE_UNLIMITED_FACTOR,
+    PACKETS_LATE_S,
+    PACKETS_UNSENT_BYTES,
+)
 
 
 class Pacing:
@@ -36,7 +37,7 @@ class Pacing:
     def __init__(self, budget_bytes_s: float | None = None) -> None:
         self._budget = math.inf if budget_bytes_s is None else budget_bytes_s
         self._rate = math.inf
-        self._growth = QUICK
+        self._growth = PACE_QUICK_GROWTH
         self._tokens = 0.0
         self._filled_at = -math.inf
         self._cut_at = -math.inf
@@ -52,17 +53,17 @@ class Pacing:
     @property
     def gives_way(self) -> bool:
         """Whether less is said than is asked for, because packets waited or by the budget; not for being new."""
-        waited = self._growth == CAREFUL or self._budget <= self._rate
+        waited = self._growth == PACE_CAREFUL_GROWTH or self._budget <= self._rate
         return waited and self._asked_s > self.bytes_s
 
     def allows(self, size: int, listeners: int, now: float, *, tracks: bool) -> bool:
         """Whether a message of `size` bytes may be said now; counted as said. Tracks go before all else. listeners: how
         many times it goes out."""
-        cost = float((size + OVERHEAD) * listeners)
+        cost = float((size + MESSAGE_OVERHEAD_BYTES) * listeners)
         self._asked += cost
         rate = self.bytes_s
         if math.isfinite(rate):
-            full = rate * BURST_S
+            full = rate * PACE_BURST_S
             self._tokens = min(full, self._tokens + rate * max(0.0, now - max(self._filled_at, now - 1.0)))
             self._filled_at = now
             if self._tokens <= (0.0 if tracks else 0.5 * full):
@@ -73,7 +74,7 @@ class Pacing:
 
     def begin(self) -> None:
         """Somebody begins to listen, or a link was lost."""
-        self._rate = min(self._rate, FIRST_BYTES_S)
+        self._rate = min(self._rate, PACE_FIRST_BYTES_PER_S)
 
     def look(self, waiting: Waiting, now: float) -> None:
         """To be called a few times a second."""
@@ -83,11 +84,13 @@ class Pacing:
         seconds = now - self._looked_at
         said_s, self._asked_s = self._said / seconds, self._asked / seconds
         self._looked_at, self._said, self._asked = now, 0.0, 0.0
-        if waiting.delay_s > LATE_S or waiting.unsent > UNSENT:
-            if now - self._cut_at >= HOLD_S:
-                self._cut_at, self._growth = now, CAREFUL
-                self._rate = max(FLOOR_BYTES_S, 0.5 * min(self._rate, max(said_s, FLOOR_BYTES_S)))
+        if waiting.delay_s > PACKETS_LATE_S or waiting.unsent > PACKETS_UNSENT_BYTES:
+            if now - self._cut_at >= PACE_CUT_HOLD_S:
+                self._cut_at, self._growth = now, PACE_CAREFUL_GROWTH
+                self._rate = max(
+                    PACE_LEAST_BYTES_PER_S, 0.5 * min(self._rate, max(said_s, PACE_LEAST_BYTES_PER_S))
+                )
         elif math.isfinite(self._rate):
             self._rate *= self._growth**seconds
-            if self._rate > ENOUGH * self._asked_s > 0.0:
-                self._rate, self._growth = math.inf, QUICK
+            if self._rate > PACE_UNLIMITED_FACTOR * self._asked_s > 0.0:
+                self._rate, self._growth = math.inf, PACE_QUICK_GROWTH

@@ -17,10 +17,16 @@ from swarmtrack.clock import Clock
 from swarmtrack.messages import AnnouncementRequested, PeerEvent, PeerExpelled
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.limits import (
+    ANNOUNCED_CLOCKS_AGREE_S,
+    ANNOUNCEMENT_QUESTION_PERIOD_S,
+    ANNOUNCEMENT_REQUEST_PERIOD_S,
+    MAX_WAITING_EVENTS,
+    NEWCOMER_GRACE_S,
+    REPORTED_CLOCKS_AGREE_S,
+)
 from swarmtrack.transport.membership import LiveBoot, Membership, Numbered
-from swarmtrack.transport.outgoing import REQUEST_S
 from swarmtrack.transport.ranging_radios import RangingRadios
-from swarmtrack.transport.sender_clock import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
 from swarmtrack.transport.silence import Silence
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, signed_part
@@ -35,10 +41,6 @@ Verify = Callable[[int, bytes, bytes], bool]
 
 log = logging.getLogger(__name__)
 
-GRACE_S = 0.05  # from a newcomer's token to the first question: what it says of itself may be on its way
-RECONCILE_S = 0.5  # between two questions to a teammate whose announcement is missing
-# Waiting for the agent: more than MAX_PEERS can cause at once, so only a stalled agent loses any.
-MAX_EVENTS = 8192
 SUBSCRIBED = {
     Kind.POSE: "announcements",
     Kind.IDENTITIES: "sightings",
@@ -227,7 +229,9 @@ class Peers:
     def may_request(self, drone_id: int) -> bool:
         """Whether to ask this teammate to announce anew: if it lives, and once a second; counted as asked."""
         now = self._clock.now()
-        self._requested_at = {i: t for i, t in self._requested_at.items() if now - t < REQUEST_S}
+        self._requested_at = {
+            i: t for i, t in self._requested_at.items() if now - t < ANNOUNCEMENT_REQUEST_PERIOD_S
+        }
         if drone_id in self._requested_at or drone_id not in self._membership.peers:
             self._counters["requests_withheld"] += 1
             return False
@@ -236,16 +240,18 @@ class Peers:
         return True
 
     async def ask_for_missing(self, ask: Callable[[int], None]) -> None:
-        """Until cancelled: a moment after each newcomer, then every `RECONCILE_S` while its announcement is missing.
-        What looked like a restart and is none is told as well."""
+        """Until cancelled: a moment after each newcomer, then every `ANNOUNCEMENT_QUESTION_PERIOD_S` while its
+        announcement is missing. What looked like a restart and is none is told as well."""
         loop = asyncio.get_running_loop()
         due: dict[int, float] = {}
         while True:
             now = loop.time()
-            due = {drone_id: due.get(drone_id, now + GRACE_S) for drone_id in self._membership.missing}
+            due = {
+                drone_id: due.get(drone_id, now + NEWCOMER_GRACE_S) for drone_id in self._membership.missing
+            }
             for drone_id in [drone_id for drone_id, t in due.items() if t <= now]:
                 ask(drone_id)
-                due[drone_id] = now + RECONCILE_S
+                due[drone_id] = now + ANNOUNCEMENT_QUESTION_PERIOD_S
             self._tell(self._membership.settle(now))
             self._newcomer.clear()
             settles_at = self._membership.settles_at
@@ -292,7 +298,7 @@ class Peers:
 
     def _tell(self, events: list[PeerEvent]) -> None:
         for event in events:
-            if len(self._events) >= MAX_EVENTS:
+            if len(self._events) >= MAX_WAITING_EVENTS:
                 self._events.popleft()
                 self._counters["events_dropped"] += 1
             self._events.append(event)

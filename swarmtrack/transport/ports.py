@@ -9,13 +9,12 @@ import socket
 from typing import Final
 
 from swarmtrack.errors import TransportError
+from swarmtrack.transport.limits import PORT_TRIES, PORT_TRY_PERIOD_S
 from swarmtrack.transport.settings import Endpoint, parse_endpoint
 
 log = logging.getLogger(__name__)
 
 DATAGRAMS: Final = ("udp", "quic")
-TRIES: Final = 8  # a predecessor that is ending holds its ports for a moment
-PERIOD_S: Final = 0.25
 
 
 async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
@@ -43,11 +42,11 @@ async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
 
 async def obstacle(endpoint: Endpoint) -> OSError | None:
     """What is against listening at an endpoint, for good; None: nothing."""
-    for _ in range(TRIES):
+    for _ in range(PORT_TRIES):
         error = await asyncio.to_thread(_try_to_bind, endpoint)
         if error is None or error.errno != errno.EADDRINUSE:
             break
-        await asyncio.sleep(PERIOD_S)
+        await asyncio.sleep(PORT_TRY_PERIOD_S)
     return error
 
 

@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 
-from swarmtrack.transport.sender_clock import REPORTED_CLOCKS_AGREE_S, SenderClock, StampedTime
+from swarmtrack.transport.limits import MAX_MEASURED_PER_RADIO, MAX_RADIOS, REPORTED_CLOCKS_AGREE_S
+from swarmtrack.transport.sender_clock import SenderClock, StampedTime
 from swarmtrack.wire.ranging import RangeMessage
-
-# Processes at a time, of whom the one that was silent longest is forgotten; and teammates that one may measure.
-MAX_RADIOS, MAX_MEASURED = 4, 1024
 
 
 @dataclass(slots=True)
@@ -41,7 +39,7 @@ class RangingRadios:
         if last is not None and message.sequence <= last:
             self.counters["ranges_repeated"] += 1
             return None
-        if last is None and len(radio.said) >= MAX_MEASURED:
+        if last is None and len(radio.said) >= MAX_MEASURED_PER_RADIO:
             self.counters["ranges_beyond_limit"] += 1
             return None
         radio.said[message.other] = message.sequence

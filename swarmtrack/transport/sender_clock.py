@@ -10,20 +10,13 @@ UTC better than we can tell from arrivals; otherwise the time is carried over to
 from __future__ import annotations
 
 from collections import deque
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
+from swarmtrack.transport.limits import ARRIVAL_SIGMA_S, CLOCK_DIFFERENCES_KEPT, CLOCK_STEP_S
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.ranging import RangeMessage
 from swarmtrack.wire.sightings import SightingsMessage
-
-# s, how far apart two clocks that somebody keeps may seem: an announcement may have been on its way for so long,
-# and it is the only one; of many reports one was quick.
-ANNOUNCED_CLOCKS_AGREE_S: Final = 2.0
-REPORTED_CLOCKS_AGREE_S: Final = 1.0
-ARRIVAL_SIGMA: Final = 0.2  # s, at least: of a time that is known by its arrival only
-_MESSAGES: Final = 16  # how many differences count: seconds, so that a clock that drifts is followed
-_STEP: Final = 5.0  # s: no message is on its way for so long over a link that lives, so a clock was set
 
 
 class StampedTime(NamedTuple):
@@ -37,7 +30,7 @@ class SenderClock:
     """Of one boot, whose every message in order is to be told."""
 
     def __init__(self) -> None:
-        self._differences: deque[float] = deque(maxlen=_MESSAGES)
+        self._differences: deque[float] = deque(maxlen=CLOCK_DIFFERENCES_KEPT)
 
     def time_of(
         self,
@@ -52,14 +45,14 @@ class SenderClock:
         tolerance [s]: up to here two clocks count as one.
         """
         difference = arrived + utc_offset - (message.t_utc_s + message.age_s)
-        if self._differences and difference > min(self._differences) + _STEP:
+        if self._differences and difference > min(self._differences) + CLOCK_STEP_S:
             self._differences.clear()
         self._differences.append(difference)
         apart = min(self._differences)
         t = message.t_utc_s - utc_offset
         if abs(apart) <= tolerance:
             return StampedTime(t, message.t_sigma_s)
-        return StampedTime(t + apart, max(message.t_sigma_s, ARRIVAL_SIGMA))
+        return StampedTime(t + apart, max(message.t_sigma_s, ARRIVAL_SIGMA_S))
 
     @property
     def apart_s(self) -> float:

@@ -6,9 +6,9 @@ drone's token, or what it listens to, is then never said again, and the two stay
 that stands. So who says nothing for longer than a report takes is asked, which its transport answers, whatever its
 autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made again.
 
-Zenoh closes no link to one peer only, so all are, and not again within `REST_S`. Whoever is not heard afterwards either
-may have its own reasons: for its sake it is done after four times as long, each time. Pure state; times by any clock
-[s].
+Zenoh closes no link to one peer only, so all are, and not again within `REOPEN_REST_S`. Whoever is not heard afterwards
+either may have its own reasons: for its sake it is done after four times as long, each time. Pure state; times by any
+clock [s].
 """
 
 from __future__ import annotations
@@ -16,14 +16,13 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterable
-from typing import Final
 
-REPORTS_S: Final = 1.0  # between two of a teammate's reports
-ASK_S: Final = 1.2 * REPORTS_S  # without a word
-REOPEN_LEASES: Final = 2.0  # without a word, and links are made again
-PATIENCE: Final = 4.0  # as many times longer before it is done again
-REST_S: Final = (
-    15.0  # between two times that all links are made again; a start with two fifths lost takes ten
+from swarmtrack.transport.limits import (
+    ASK_AFTER_SILENCE_S,
+    REOPEN_BACK_OFF,
+    REOPEN_LEASES,
+    REOPEN_REST_S,
+    REPORT_PERIOD_S,
 )
 
 
@@ -31,7 +30,7 @@ class Silence:
     """present: the IDs of those who live, by their tokens, or are linked."""
 
     def __init__(self, lease_s: float) -> None:
-        self._patience_s = max(lease_s, 2.0 * REPORTS_S)
+        self._patience_s = max(lease_s, 2.0 * REPORT_PERIOD_S)
         self._heard: dict[int, float] = {}
         """When last; at first, when it was first seen to be present."""
         self._told: set[int] = set()
@@ -54,7 +53,7 @@ class Silence:
 
     def to_ask(self, present: Iterable[int], now: float) -> list[int]:
         """Who has said nothing for longer than usual."""
-        return [d for d, s in self._since(present, now).items() if s > ASK_S]
+        return [d for d, s in self._since(present, now).items() if s > ASK_AFTER_SILENCE_S]
 
     def news(self, present: Iterable[int], now: float) -> list[str]:
         """A sentence for each who is no longer heard, or is heard again. Who is seen for the first time has been heard
@@ -78,11 +77,11 @@ class Silence:
 
     def to_reopen(self, present: Iterable[int], now: float) -> list[int]:
         """For whose sake all links are to be made again."""
-        if now - self._reopened_at < REST_S:
+        if now - self._reopened_at < REOPEN_REST_S:
             return []
         silent = self.silent(present, now)
         bearable = REOPEN_LEASES * self._patience_s
-        deaf = sorted(d for d, s in silent.items() if s > bearable * PATIENCE ** self._tried[d])
+        deaf = sorted(d for d, s in silent.items() if s > bearable * REOPEN_BACK_OFF ** self._tried[d])
         if deaf:
             self._tried.update(deaf)
             self._reopened_at = now

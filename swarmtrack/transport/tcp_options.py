@@ -19,9 +19,9 @@ import socket
 import struct
 from typing import Final
 
+from swarmtrack.transport.limits import TCP_OPTIONS_PERIOD_S
 from swarmtrack.transport.own_sockets import own_streams
 
-PERIOD_S: Final = 0.2  # a new link's first loss is not much older
 _LINGER: Final = struct.Struct("ii")
 _THIN_LINEAR_TIMEOUTS: Final = 16  # Linux has it since 2.6.34; Python has no name for it
 
@@ -30,7 +30,7 @@ async def keep_options() -> None:
     """Until cancelled: set what is new."""
     while True:
         set_options()
-        await asyncio.sleep(PERIOD_S)
+        await asyncio.sleep(TCP_OPTIONS_PERIOD_S)
 
 
 def set_options() -> int:

@@ -12,21 +12,15 @@ import contextlib
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any
 
 import zenoh
 
 from swarmtrack.clock import Clock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Sample
+from swarmtrack.transport.limits import BRIDGE_CAPACITY, BRIDGE_HANDFUL, BRIDGE_REST_S, BRIDGE_ROUND_S
 from swarmtrack.wire.fields import MAX_BYTES
-
-BRIDGE_CAPACITY: Final = 1024  # samples: 64 MiB at most, and never reached while the loop turns
-_HANDFUL: Final = 32  # samples taken in one turn of the loop: at 0.2 ms for the dearest, 6 ms
-# Where only the newest counts:
-_REST_S: Final = 0.01  # between two handfuls: 3200 samples a second at most, whoever sends
-# Before samples that came in between are looked at: of one key, the newest, at most twenty times per second.
-_ROUND_S: Final = 0.05
 
 
 class Bridge:
@@ -112,7 +106,7 @@ class Bridge:
     def hand_over(self) -> None:
         """On the loop: a handful now, without waiting for its turn; for what another bridge's samples refer to."""
         with self._lock:
-            handful = [self._take() for _ in range(min(_HANDFUL, self._count))]
+            handful = [self._take() for _ in range(min(BRIDGE_HANDFUL, self._count))]
             self._round = max(0, self._round - len(handful))
         for sample in handful:
             self._receive(sample)
@@ -121,7 +115,7 @@ class Bridge:
     def _rest(self) -> float:
         if not self._newest_per_key:
             return 0.0
-        return _REST_S if self._round else _ROUND_S
+        return BRIDGE_REST_S if self._round else BRIDGE_ROUND_S
 
     def _rested(self) -> None:
         with self._lock:

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import json
-from typing import Any, Final
+from typing import Any
 
 import zenoh
 
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport.access_control import access_control
+from swarmtrack.transport.limits import (
+    CLIENT_CONNECT_MS,
+    CLIENT_HANDSHAKE_MS,
+    DATAGRAM_KEEP_ALIVES_PER_LEASE,
+    HANDSHAKE_MS,
+    KEEP_ALIVES_PER_LEASE,
+    MAX_LINKS_PER_PAIR,
+    MAX_ZENOH_BYTES,
+)
 from swarmtrack.transport.settings import ENCRYPTED, Mode, NetworkSettings
-
-MAX_ZENOH_BYTES: Final = 1024 * 1024  # of a fragmented message: Zenoh drops larger ones before we see them
-MAX_LINKS: Final = 2  # between two with keys (`links.Links.PAIR`)
-# In one lease. With 4, a link of idle datagrams was lost twice a minute where a fifth of all frames is.
-KEEP_ALIVES, DATAGRAM_KEEP_ALIVES = 4, 6
-# What stalls in a handshake waits longer and longer, and is better begun again; one that loses two packets is not.
-HANDSHAKE_MS: Final = 4000
-CLIENT_HANDSHAKE_MS: Final = 1500  # then the next router is tried
-CLIENT_CONNECT_MS: Final = 6000  # a client's `open` blocks until a router answers, but not for ever
 
 
 def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tuple[str, ...]) -> zenoh.Config:
@@ -69,14 +69,16 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
             "link": {
                 "tx": {
                     "lease": round(network.lease_s * 1000),
-                    "keep_alive": DATAGRAM_KEEP_ALIVES if network.credentials else KEEP_ALIVES,
+                    "keep_alive": DATAGRAM_KEEP_ALIVES_PER_LEASE
+                    if network.credentials
+                    else KEEP_ALIVES_PER_LEASE,
                 },
                 "rx": {"max_message_size": MAX_ZENOH_BYTES},
             },
         },
     }
     if network.credentials is not None:
-        config["transport"]["unicast"]["max_links"] = MAX_LINKS
+        config["transport"]["unicast"]["max_links"] = MAX_LINKS_PER_PAIR
         config["transport"]["link"] |= {"protocols": list(ENCRYPTED), "tls": _tls(network.credentials)}
         config["access_control"] = access_control(network.credentials.roster)
     return zenoh.Config.from_json5(json.dumps(config))

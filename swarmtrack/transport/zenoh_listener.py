@@ -7,7 +7,7 @@ import logging
 from collections.abc import AsyncIterator, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final
+from typing import Any
 
 import zenoh
 
@@ -18,22 +18,14 @@ from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.joining import keep_joining
+from swarmtrack.transport.limits import BRIDGE_CAPACITY, SESSION_OPEN_S, TEAMS_ANSWER_S
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.tcp_options import keep_options
-from swarmtrack.transport.zenoh_bridge import BRIDGE_CAPACITY, Bridge
-from swarmtrack.transport.zenoh_session import (
-    OPEN_S,
-    ask,
-    bounded,
-    close_session,
-    open_session,
-    plain,
-)
+from swarmtrack.transport.zenoh_bridge import Bridge
+from swarmtrack.transport.zenoh_session import ask, bounded, close_session, open_session, plain
 
 log = logging.getLogger(__name__)
-
-TEAMS_S: Final = 1.0  # for answers to who lives
 
 
 class ZenohListener:
@@ -96,7 +88,7 @@ class ZenohListener:
                 self._later[text] = session.declare_subscriber(_expression(text), bridge.handler())
 
         try:
-            await bounded(partial(declare, session), OPEN_S, "declare")
+            await bounded(partial(declare, session), SESSION_OPEN_S, "declare")
         except BaseException:
             self._session = None
             await close_session(session, [])
@@ -126,7 +118,7 @@ class ZenohListener:
             return
         try:
             self._later[key_expression] = await bounded(
-                lambda: session.declare_subscriber(expression, bridge.handler()), OPEN_S, "declare"
+                lambda: session.declare_subscriber(expression, bridge.handler()), SESSION_OPEN_S, "declare"
             )
         except TransportError:
             del self._later[key_expression]
@@ -136,7 +128,7 @@ class ZenohListener:
         """What `listen_to` began. Raises TransportError."""
         subscriber = self._later.pop(key_expression, None)
         if subscriber is not None:
-            await bounded(subscriber.undeclare, OPEN_S, "undeclare")
+            await bounded(subscriber.undeclare, SESSION_OPEN_S, "undeclare")
 
     async def samples(self) -> AsyncIterator[Sample]:
         """Until closed."""
@@ -151,10 +143,10 @@ class ZenohListener:
         anyone = f"{keys.ROOT}/*/{keys.VERSION}/{Kind.ALIVE}/*/*"
 
         def look() -> list[str]:
-            replies = session.liveliness().get(anyone, timeout=TEAMS_S)
+            replies = session.liveliness().get(anyone, timeout=TEAMS_ANSWER_S)
             return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
-        found = map(keys.parse, await bounded(look, OPEN_S, "ask who lives"))
+        found = map(keys.parse, await bounded(look, SESSION_OPEN_S, "ask who lives"))
         return {address.team for address in found if address is not None}
 
     def links(self) -> LinksUp:

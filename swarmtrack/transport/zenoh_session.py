@@ -25,6 +25,7 @@ import zenoh
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
+from swarmtrack.transport.limits import SESSION_ANSWER_S, SESSION_CLOSE_S, SESSION_OPEN_S
 from swarmtrack.transport.links import EndpointTemplate
 from swarmtrack.transport.ports import wait_for_ports
 from swarmtrack.transport.settings import Mode, NetworkSettings
@@ -35,9 +36,6 @@ log = logging.getLogger(__name__)
 
 RENDEZVOUS_PORTS: Final = range(17447, 17447 + 32)  # on loopback, below Linux's ephemeral ports
 
-OPEN_S: Final = 10.0
-ANSWER_S: Final = 1.5  # a packet or two of a question may be lost
-CLOSE_S: Final = 1.5  # SIGTERM must end the agent within 2 s; a link that hangs half open would hold us for 3
 
 _T = TypeVar("_T")
 
@@ -53,7 +51,7 @@ async def open_session(
     """
     if listening and not again:
         await wait_for_ports(network.listen)
-    return await bounded(partial(_open, network, listening), OPEN_S, "open", too_late=_close)
+    return await bounded(partial(_open, network, listening), SESSION_OPEN_S, "open", too_late=_close)
 
 
 def _open(network: NetworkSettings, listening: bool) -> zenoh.Session:
@@ -108,7 +106,7 @@ def ask(
             consolidation=zenoh.ConsolidationMode.NONE,
             congestion_control=zenoh.CongestionControl.DROP,  # we ask again
             allowed_destination=zenoh.Locality.REMOTE,
-            timeout=ANSWER_S,
+            timeout=SESSION_ANSWER_S,
         )
 
 
@@ -117,7 +115,7 @@ def _close(session: zenoh.Session) -> None:
 
 
 async def close_session(session: zenoh.Session, declared: list[Any]) -> None:
-    """Undeclare in order, then close. Gives up after `CLOSE_S`; the process's end does the rest."""
+    """Undeclare in order, then close. Gives up after `SESSION_CLOSE_S`; the process's end does the rest."""
 
     def close() -> None:
         for entity in declared:
@@ -126,7 +124,7 @@ async def close_session(session: zenoh.Session, declared: list[Any]) -> None:
         _close(session)
 
     try:
-        await bounded(close, CLOSE_S, "close")
+        await bounded(close, SESSION_CLOSE_S, "close")
     except TransportError as error:
         log.info("%s", error)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from dataclasses import replace
-from typing import Final
 
 import zenoh
 
@@ -16,13 +15,12 @@ from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.joining import keep_joining
+from swarmtrack.transport.limits import MAX_SPOKEN_KEYS, SESSION_OPEN_S
 from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
-from swarmtrack.transport.zenoh_session import OPEN_S, bounded, close_session, open_session
+from swarmtrack.transport.zenoh_session import bounded, close_session, open_session
 
 log = logging.getLogger(__name__)
-
-MAX_KEYS: Final = 1024
 
 
 class ZenohSpeaker:
@@ -62,7 +60,7 @@ class ZenohSpeaker:
             if self._following is None:
                 raise TransportError("network: not open")
             return  # links are being made anew
-        if other in self._publishers or len(self._publishers) >= MAX_KEYS:
+        if other in self._publishers or len(self._publishers) >= MAX_SPOKEN_KEYS:
             return
         key = keys.key(self._network.team, self._kind, self._drone_id, other)
         publisher = await bounded(
@@ -73,7 +71,7 @@ class ZenohSpeaker:
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.DATA_HIGH,
             ),
-            OPEN_S,
+            SESSION_OPEN_S,
             "declare",
         )
         if session is self._session:

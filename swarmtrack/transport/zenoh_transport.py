@@ -28,29 +28,23 @@ from swarmtrack.transport.base import PUBLISHED, Kind, Sample
 from swarmtrack.transport.giving_way import Channel, GivingWay
 from swarmtrack.transport.joining import keep_joining
 from swarmtrack.transport.knocking import keep_knocking
+from swarmtrack.transport.limits import (
+    CLASH_MARGIN_S,
+    MAX_BOOTS_PER_ID,
+    MAX_LIVELINESS_TOKENS,
+    SESSION_OPEN_S,
+    SESSION_PUT_S,
+    SILENCE_CHECK_PERIOD_S,
+)
 from swarmtrack.transport.link_watch import LinksUp, LinkWatch, links_up
-from swarmtrack.transport.membership import MAX_BOOTS
 from swarmtrack.transport.outgoing import Outgoing, Sign
 from swarmtrack.transport.peers import Peers, Verify, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import Bridge
-from swarmtrack.transport.zenoh_session import (
-    OPEN_S,
-    ask_for_announcement,
-    bounded,
-    close_session,
-    open_session,
-)
+from swarmtrack.transport.zenoh_session import ask_for_announcement, bounded, close_session, open_session
 
 log = logging.getLogger(__name__)
-
-PUT_S: Final = 3.0
-# Beyond the lease: of a process that was killed, the token is gone by then.
-CLASH_MARGIN_S: Final = 0.5
-SILENCE_S: Final = 0.5  # between two looks at who says nothing
-
-_MAX_TOKENS: Final = 65536
 
 
 class Carriage(NamedTuple):
@@ -113,7 +107,10 @@ class ZenohTransport:
         # A token's key says all, so the last two words on each are enough: whether it is alive, and whether it was away
         # before, when it may have announced itself anew. No flood of tokens can push a departure out.
         tokens = Bridge(
-            lambda s: self._peers.on_token(s.key, s.alive), _MAX_TOKENS, newest_per_key=2, clock=self._clock
+            lambda s: self._peers.on_token(s.key, s.alive),
+            MAX_LIVELINESS_TOKENS,
+            newest_per_key=2,
+            clock=self._clock,
         )
 
         def on_message(sample: Sample) -> None:
@@ -121,7 +118,7 @@ class ZenohTransport:
             self._peers.on_message(sample.key, sample.payload, sample.arrived)
 
         # Clones speak on one key, and each must be heard.
-        messages = Bridge(on_message, newest_per_key=MAX_BOOTS, clock=self._clock)
+        messages = Bridge(on_message, newest_per_key=MAX_BOOTS_PER_ID, clock=self._clock)
         self._bridges = [tokens, messages]
         self._tokens, self._messages = tokens, messages
         self._loop = asyncio.get_running_loop()
@@ -155,7 +152,7 @@ class ZenohTransport:
     async def _listen_for_silence(self) -> None:
         """Until cancelled. Links that stand and carry nothing are made anew."""
         while True:
-            await asyncio.sleep(SILENCE_S)
+            await asyncio.sleep(SILENCE_CHECK_PERIOD_S)
             if self._session is None:
                 continue
             deaf = self._peers.listen_for_silence(self._linked(links_up(self._session)), self._ask)
@@ -177,7 +174,7 @@ class ZenohTransport:
     async def _join(self) -> None:
         session = await open_session(self._network, again=self._renewed)
         try:
-            await bounded(partial(self._declare, session), OPEN_S, "declare")
+            await bounded(partial(self._declare, session), SESSION_OPEN_S, "declare")
         except BaseException:
             await close_session(session, [])
             raise
@@ -251,7 +248,7 @@ class ZenohTransport:
             )
 
         try:
-            await bounded(partial(put, session), PUT_S, "announce")
+            await bounded(partial(put, session), SESSION_PUT_S, "announce")
         except TransportError as error:
             self._counters["announcements_unsent"] += 1
             log.warning("announcement not put, teammates will ask for it: %s", error)

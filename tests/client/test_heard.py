@@ -15,7 +15,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import from_euler
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
-from swarmtrack.transport.membership import MAX_PEERS
+from swarmtrack.transport.limits import MAX_PEERS
 from swarmtrack.wire import codec
 from swarmtrack.wire.camera import camera_message
 

@@ -4,8 +4,9 @@ import math
 
 import pytest
 
-from swarmtrack.formation.divergence import AGREES_S, HOLDS_S, WITHIN_S, DivergenceWatch
+from swarmtrack.formation.divergence import DivergenceWatch
 from swarmtrack.formation.law import towards
+from swarmtrack.formation.margins import DIVERGENCE_AGREES_S, DIVERGENCE_HOLDS_S, DIVERGENCE_WITHIN_S
 from swarmtrack.formation.setpoint import STILL
 from swarmtrack.lab.world.response import ARDUPILOT, PX4, STEP_S, SetPoint, advance, at_rest
 
@@ -73,7 +74,7 @@ def test_it_is_said_until_the_drone_has_obeyed_for_a_while_and_a_moment_of_it_ch
         assert all(told(watch, 2.0, STILL, STILL, 6.0 + 4.0 * k))
         assert all(told(watch, 2.0, STILL, (1.5, 0.0, 0.0), 8.0 + 4.0 * k))
     doubts = told(watch, 12.0, STILL, STILL, 30.0)
-    assert all(doubts[: round(AGREES_S / DT)])
+    assert all(doubts[: round(DIVERGENCE_AGREES_S / DT)])
     assert doubts[-1] is None
 
 
@@ -93,12 +94,12 @@ def test_who_begins_in_flight_or_knew_no_velocity_has_time_to_obey():
 
 def test_a_slot_that_gets_farther_away_although_it_is_flown_to_is_said_for_a_while():
     watch = DivergenceWatch()
-    for k in range(round(WITHIN_S / DT) + 15):
+    for k in range(round(DIVERGENCE_WITHIN_S / DT) + 15):
         t = k * DT
         watch.see(t, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
         watch.follow(t, (2.0 + 0.4 * t, 0.0, 0.0), STILL)
     assert watch.doubt(t).endswith("m farther off its slot, and was told to come nearer")
-    assert watch.doubt(t + HOLDS_S) is None
+    assert watch.doubt(t + DIVERGENCE_HOLDS_S) is None
 
 
 def test_a_leader_that_is_faster_than_its_follower_may_fly_is_no_fault_of_the_follower():

@@ -8,8 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from support.formation_states import SLOTS, Flying, in_slot, parameters, state, track
-from swarmtrack.formation.escape import APART_M, MOST_M, FreeHeights, room, way_out, who_collides
-from swarmtrack.formation.formation import AT_HEIGHT_M, Formation
+from swarmtrack.formation.escape import FreeHeights, room, way_out, who_collides
+from swarmtrack.formation.formation import Formation
+from swarmtrack.formation.margins import AT_HEIGHT_M, ESCAPE_APART_M, ESCAPE_MOST_M
 from swarmtrack.formation.obstacles import Obstacle
 
 STILL = (0.0, 0.0, 0.0)
@@ -47,10 +48,10 @@ def test_of_two_that_collide_the_first_counts():
 @example(-0.125, [0.0, -0.75])
 def test_no_room_leads_nearer_to_another_slots_height_than_half_a_metre_or_the_own_slot(own, others):
     free = room(own, others)
-    assert own - MOST_M <= free.highest <= own <= free.lowest <= own + MOST_M
+    assert own - ESCAPE_MOST_M <= free.highest <= own <= free.lowest <= own + ESCAPE_MOST_M
     for other in others:
         for height in free[:2]:
-            assert abs(height - other) >= min(APART_M, abs(own - other)) - 1e-9
+            assert abs(height - other) >= min(ESCAPE_APART_M, abs(own - other)) - 1e-9
 
 
 def test_it_gives_way_to_the_side_where_the_other_is_not_and_else_where_more_room_is():
@@ -88,9 +89,9 @@ def heights_flown(*beside):
 
 
 def test_a_drone_that_is_about_to_be_hit_leaves_its_height_by_no_more_than_it_may():
-    assert AT_HEIGHT_M < max(map(abs, heights_flown())) <= MOST_M + 0.05
+    assert AT_HEIGHT_M < max(map(abs, heights_flown())) <= ESCAPE_MOST_M + 0.05
 
 
 def test_it_stays_half_a_metre_off_the_heights_of_others():
     heights = heights_flown(0.9, -0.9)
-    assert max(map(abs, heights)) <= 0.9 - APART_M + 0.05
+    assert max(map(abs, heights)) <= 0.9 - ESCAPE_APART_M + 0.05

@@ -4,9 +4,15 @@ import numpy as np
 import pytest
 
 from support.formation_states import HEIGHT, SLOTS, Flying, in_slot, leader_from, parameters, state, track
-from swarmtrack.formation.escape import MOST_M
-from swarmtrack.formation.formation import AT_HEIGHT_M, FADED_S, HOLDS, MOST_ASIDE_M, Formation
-from swarmtrack.formation.references import ENTRY_S, UNSEEN_S
+from swarmtrack.formation.formation import HOLDS, Formation
+from swarmtrack.formation.margins import (
+    AT_HEIGHT_M,
+    COMMAND_FADED_S,
+    ESCAPE_MOST_M,
+    LED_MOST_ASIDE_M,
+    REFERENCE_ENTRY_S,
+    REFERENCE_UNSEEN_S,
+)
 from swarmtrack.formation.setpoint import STILL, OwnSway, Why
 from swarmtrack.messages import TrackStatus
 from swarmtrack.relative.heights import HeightSight
@@ -97,9 +103,9 @@ def test_a_command_begins_at_rest_and_changes_by_no_more_than_its_acceleration()
 def test_a_reference_is_flown_by_once_it_was_sure_for_a_second(flying):
     own = in_slot(off=(-1.0, 0.0, 0.0))
     seen = {10: leader_from(own)}
-    assert flying.tell(own, seen, [track()], seconds=ENTRY_S).why is Why.ENTRY
+    assert flying.tell(own, seen, [track()], seconds=REFERENCE_ENTRY_S).why is Why.ENTRY
     flying.tell(own, seen, [track(probability=0.95)])
-    assert flying.tell(own, seen, [track()], seconds=ENTRY_S).why is Why.ENTRY
+    assert flying.tell(own, seen, [track()], seconds=REFERENCE_ENTRY_S).why is Why.ENTRY
     assert flying.tell(own, seen, [track()]).why is Why.FOLLOW
 
 
@@ -108,7 +114,7 @@ def test_a_missed_detection_costs_a_name_nothing_of_its_second_and_ends_it_for_n
     seen = {10: leader_from(own)}
     flying.tell(own, seen, [track()], seconds=0.5)
     missed = [track(probability=0.9, coasting_since=flying.t)]
-    assert flying.tell(own, seen, missed, seconds=ENTRY_S).why is Why.ENTRY
+    assert flying.tell(own, seen, missed, seconds=REFERENCE_ENTRY_S).why is Why.ENTRY
     assert flying.tell(own, seen, [track()]).why is Why.FOLLOW
 
 
@@ -138,7 +144,7 @@ def test_a_name_that_does_not_hold_ends_it_at_once_softly_and_it_comes_back_afte
     seen = {n: leader_from(own, velocity=(1.0, 0.0, 0.0)) for n in (10, 11)}
     setpoint = flying.tell(own, seen, [track()], seconds=3.0)
     speeds = []
-    for _ in range(round(10 * FADED_S) + 1):
+    for _ in range(round(10 * COMMAND_FADED_S) + 1):
         own = in_slot(velocity=setpoint.velocity)
         seen = {n: leader_from(own, velocity=(1.0, 0.0, 0.0)) for n in (10, 11)}
         setpoint = flying.tell(own, seen, tracks)
@@ -147,7 +153,7 @@ def test_a_name_that_does_not_hold_ends_it_at_once_softly_and_it_comes_back_afte
     assert speeds[0] > 0.7
     assert speeds[-1] == 0.0
     assert setpoint.holds
-    flying.tell(own, seen, [track()], seconds=ENTRY_S)
+    flying.tell(own, seen, [track()], seconds=REFERENCE_ENTRY_S)
     assert flying.tell(own, seen, [track()], seconds=0.2).why is Why.FOLLOW
 
 
@@ -182,7 +188,7 @@ def test_a_reference_that_is_missed_for_a_moment_is_flown_by_on(flying):
     own = in_slot()
     flying.settled(own)
     seen, since = {10: leader_from(own)}, flying.t
-    while flying.t < since + UNSEEN_S - 0.05:
+    while flying.t < since + REFERENCE_UNSEEN_S - 0.05:
         # Its probability falls with the track's own.
         assert flying.tell(own, seen, [track(probability=0.5, coasting_since=since)]).why is Why.FOLLOW
     assert flying.tell(own, seen, [track(probability=0.5, coasting_since=since)], seconds=0.2).why is Why.FADE
@@ -229,7 +235,10 @@ def test_what_a_drone_cannot_fly_by_makes_it_stop_and_say_so(flying, facts, why)
     assert setpoint.holds
     assert setpoint.text == HOLDS[why]
     # And it goes on only after the reference was sure for a second again.
-    assert flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=ENTRY_S).why is Why.ENTRY
+    assert (
+        flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=REFERENCE_ENTRY_S).why
+        is Why.ENTRY
+    )
     assert flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=0.2).why is Why.FOLLOW
 
 
@@ -362,10 +371,10 @@ class Chased:
 @pytest.mark.parametrize("below", [1.5, -1.5])
 def test_nobody_is_chased_through_the_heights_of_others(below):
     chased = Chased(below=below, fence_radius=100.0).fly(40.0)
-    assert max(chased.off) > MOST_ASIDE_M - 0.5
+    assert max(chased.off) > LED_MOST_ASIDE_M - 0.5
     # The leader's slot is a metre lower, and nobody's is higher.
     assert min(chased.up) >= -0.5 - 1e-6
-    assert max(chased.up) <= MOST_M + 1e-6
+    assert max(chased.up) <= ESCAPE_MOST_M + 1e-6
 
 
 def test_who_is_kept_clear_of_from_below_is_so_by_flying_level(flying):
@@ -386,7 +395,7 @@ def test_nobody_is_chased_beyond_the_fence():
 
 def test_who_holds_is_chased_no_farther_than_a_step_aside_may_take_it():
     chased = Chased(fence_radius=100.0).fly(90.0)
-    assert MOST_ASIDE_M - 0.5 < max(chased.off) <= MOST_ASIDE_M + 1e-6
+    assert LED_MOST_ASIDE_M - 0.5 < max(chased.off) <= LED_MOST_ASIDE_M + 1e-6
 
 
 def test_who_is_chased_again_and_again_while_it_holds_is_led_no_farther():
@@ -394,7 +403,7 @@ def test_who_is_chased_again_and_again_while_it_holds_is_led_no_farther():
     for _ in range(8):
         chased.fly(10.0).fly(5.0, chased=False)
     # Round about it still steps aside, a little outwards with each step.
-    assert MOST_ASIDE_M - 0.5 < max(chased.off) <= MOST_ASIDE_M + 0.1
+    assert LED_MOST_ASIDE_M - 0.5 < max(chased.off) <= LED_MOST_ASIDE_M + 0.1
 
 
 def test_a_slot_that_is_fled_from_is_at_most_so_far_away_and_is_flown_back_to():
@@ -403,7 +412,7 @@ def test_a_slot_that_is_fled_from_is_at_most_so_far_away_and_is_flown_back_to():
     assert max(chased.off) < 0.1
     chased.fly(60.0)
     # Round about it still steps aside, a little outwards with each step.
-    assert MOST_ASIDE_M - 0.5 < max(chased.off) < MOST_ASIDE_M + 0.5
+    assert LED_MOST_ASIDE_M - 0.5 < max(chased.off) < LED_MOST_ASIDE_M + 0.5
     chased.fly(30.0, chased=False)
     assert chased.off[-1] < 0.1
 

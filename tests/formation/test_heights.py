@@ -6,7 +6,15 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.formation.heights import GONE_M, LEAPS_S, SAID_M, STALE_S, TILT, TILT_S, HeightWatch
+from swarmtrack.formation.heights import HeightWatch
+from swarmtrack.formation.margins import (
+    HEIGHT_DRIFT_GONE_M,
+    HEIGHT_DRIFT_REPORTED_M,
+    HEIGHT_DRIFT_STALE_S,
+    HEIGHT_LEAP_AFTER_S,
+    TILT_ERROR_LASTS_S,
+    TILT_ERROR_RAD,
+)
 from swarmtrack.relative.heights import HeightSight
 
 DT, LEVEL, LEVER, SIGMA = 0.15, 5.0, 0.1, 0.1
@@ -25,15 +33,17 @@ class Seen:
         self.t = 0.0
         self.constant = {drone: self.rng.normal(0.0, 2.0) for drone in drones}
         self.distance = {drone: self.rng.standard_normal() for drone in drones}
-        self.tilt = self.rng.normal(0.0, TILT)
+        self.tilt = self.rng.normal(0.0, TILT_ERROR_RAD)
         self.off = dict.fromkeys(drones, 0.0)
 
     def fly(self, watch, seconds, drift=0.0, drifting=None):
         """The time at which something is said; None where nothing is."""
         for _ in range(round(seconds / DT)):
             self.t += DT
-            share = math.exp(-DT / TILT_S)
-            self.tilt = share * self.tilt + TILT * math.sqrt(1.0 - share**2) * self.rng.standard_normal()
+            share = math.exp(-DT / TILT_ERROR_LASTS_S)
+            self.tilt = (
+                share * self.tilt + TILT_ERROR_RAD * math.sqrt(1.0 - share**2) * self.rng.standard_normal()
+            )
             for drone in self.off if drifting is None else drifting:
                 self.off[drone] += drift * DT
             watch.see(
@@ -80,7 +90,7 @@ def test_a_constant_between_two_heights_is_no_drift():
         watch, seen = HeightWatch({1}), Seen(seed)
         seen.constant[1] = constant
         assert seen.fly(watch, 60.0) is None
-        assert abs(watch.drifts[0].off) < SAID_M
+        assert abs(watch.drifts[0].off) < HEIGHT_DRIFT_REPORTED_M
 
 
 def test_a_height_that_leaps_is_said_and_a_single_wrong_box_is_not():
@@ -91,7 +101,7 @@ def test_a_height_that_leaps_is_said_and_a_single_wrong_box_is_not():
     assert seen.fly(watch, 3.0) is None
     seen.off[1] = 3.0
     leapt = seen.t
-    assert leapt < seen.fly(watch, 3.0) < leapt + LEAPS_S + 3 * DT
+    assert leapt < seen.fly(watch, 3.0) < leapt + HEIGHT_LEAP_AFTER_S + 3 * DT
     assert "wrong by 3." in watch.doubt or "wrong by 2." in watch.doubt
 
 
@@ -100,13 +110,13 @@ def test_it_is_said_no_more_once_the_heights_agree_again():
     seen.fly(watch, 10.0)
     seen.fly(watch, 10.0, 0.2)
     assert watch.doubt is not None
-    assert abs(watch.drifts[0].off) > SAID_M
+    assert abs(watch.drifts[0].off) > HEIGHT_DRIFT_REPORTED_M
     while seen.off[1] > 0.0:
         seen.fly(watch, DT, -0.2)
     for _ in range(round(3.0 / DT)):
         seen.fly(watch, DT)
     assert watch.doubt is None
-    assert abs(watch.drifts[0].off) < GONE_M
+    assert abs(watch.drifts[0].off) < HEIGHT_DRIFT_GONE_M
 
 
 def test_of_two_that_agree_the_third_is_wrong():
@@ -136,16 +146,16 @@ def test_a_teammate_by_whom_nobody_flies_holds_nobody():
 def test_a_leader_that_was_lost_while_it_drifted_is_no_witness_for_the_own_height():
     watch, seen = HeightWatch((1,)), Seen(4, (1, 3))
     seen.fly(watch, 10.0)
-    while watch.drifts[0].off < GONE_M:
+    while watch.drifts[0].off < HEIGHT_DRIFT_GONE_M:
         assert seen.fly(watch, DT, 0.2) is None
-    assert watch.drifts[0].off < SAID_M
+    assert watch.drifts[0].off < HEIGHT_DRIFT_REPORTED_M
     seen.off = {3: seen.off[3]}
     assert seen.fly(watch, 5.0, 0.2) is not None
     assert watch.doubt.startswith("own or drone 3's height seems wrong by 0.")
 
 
 def test_another_life_of_a_teammate_and_a_long_silence_begin_anew():
-    for word, pause in (("b moved", 0.0), ("a moved", STALE_S + 1.0)):
+    for word, pause in (("b moved", 0.0), ("a moved", HEIGHT_DRIFT_STALE_S + 1.0)):
         watch, seen = HeightWatch((1,)), Seen(5)
         seen.fly(watch, 10.0)
         seen.fly(watch, 20.0, 0.2)

@@ -3,7 +3,8 @@ import pytest
 
 from support.formation_states import Flying, in_slot, parameters, state, track
 from swarmtrack.formation.formation import Formation
-from swarmtrack.formation.out_of_sight import REMEMBERED_S, OutOfSight
+from swarmtrack.formation.margins import OUT_OF_SIGHT_REMEMBERED_S
+from swarmtrack.formation.out_of_sight import OutOfSight
 
 COMES = state((4.0, 0.0, 0.0), (-1.0, 0.0, 0.0), drone_id=0)
 
@@ -21,7 +22,7 @@ def test_who_has_left_the_picture_is_expected_along_its_last_velocity_for_three_
     after = memory.states({}, in_slot(), 2.0)[7]
     assert after.position == pytest.approx((2.0, 0.0, 0.0))
     assert after.velocity == pytest.approx((-1.0, 0.0, 0.0))
-    assert memory.states({}, in_slot(), REMEMBERED_S + 0.1) == {}
+    assert memory.states({}, in_slot(), OUT_OF_SIGHT_REMEMBERED_S + 0.1) == {}
     assert memory.states({}, in_slot(), 2.0) == {}
 
 

@@ -9,18 +9,18 @@ import socket
 import pytest
 
 from swarmtrack.transport.congestion import Congestion, Sent, Waiting, look_at_links
-from swarmtrack.transport.own_sockets import DESCRIPTORS, own_streams
-from swarmtrack.transport.pacing import (
-    FIRST_BYTES_S,
-    FLOOR_BYTES_S,
-    LATE_S,
-    OVERHEAD,
-    UNSENT,
-    Pacing,
+from swarmtrack.transport.limits import (
+    MESSAGE_OVERHEAD_BYTES,
+    PACE_FIRST_BYTES_PER_S,
+    PACE_LEAST_BYTES_PER_S,
+    PACKETS_LATE_S,
+    PACKETS_UNSENT_BYTES,
 )
+from swarmtrack.transport.own_sockets import DESCRIPTORS, own_streams
+from swarmtrack.transport.pacing import Pacing
 
-CLEAR, LATE, STUCK = Waiting(0.0, 0), Waiting(2.0 * LATE_S, 0), Waiting(0.0, 2 * UNSENT)
-MESSAGE = 1000 - OVERHEAD
+CLEAR, LATE, STUCK = Waiting(0.0, 0), Waiting(2.0 * PACKETS_LATE_S, 0), Waiting(0.0, 2 * PACKETS_UNSENT_BYTES)
+MESSAGE = 1000 - MESSAGE_OVERHEAD_BYTES
 
 
 def fly(pacing: Pacing, t: float, seconds: float, waiting: Waiting = CLEAR, *, listeners: int = 1) -> int:
@@ -46,9 +46,9 @@ def test_while_packets_wait_less_and_less_is_said_down_to_a_floor_and_then_more_
     fly(pacing, 0.0, 5.0)
     fly(pacing, 5.0, 5.0, waiting)
     assert pacing.gives_way
-    assert pacing.bytes_s == FLOOR_BYTES_S
+    assert pacing.bytes_s == PACE_LEAST_BYTES_PER_S
     floor = fly(pacing, 10.0, 10.0, waiting)
-    assert floor == pytest.approx(10 * FLOOR_BYTES_S / 1000, abs=1)
+    assert floor == pytest.approx(10 * PACE_LEAST_BYTES_PER_S / 1000, abs=1)
     assert fly(pacing, 20.0, 5.0) < fly(pacing, 25.0, 5.0) < fly(pacing, 30.0, 5.0)
     fly(pacing, 35.0, 15.0)
     assert fly(pacing, 50.0, 1.0) == 50
@@ -59,7 +59,7 @@ def test_where_links_come_or_go_it_begins_low_and_is_soon_as_fast_as_it_was_with
     pacing = Pacing()
     fly(pacing, 0.0, 5.0)
     pacing.begin()
-    assert pacing.bytes_s == FIRST_BYTES_S
+    assert pacing.bytes_s == PACE_FIRST_BYTES_PER_S
     assert 1 <= fly(pacing, 5.0, 1.0) < 25
     assert not pacing.gives_way
     fly(pacing, 6.0, 2.0)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from swarmtrack.messages import RangeReport
-from swarmtrack.transport.ranging_radios import MAX_MEASURED, MAX_RADIOS, RangingRadios
+from swarmtrack.transport.limits import MAX_MEASURED_PER_RADIO, MAX_RADIOS
+from swarmtrack.transport.ranging_radios import RangingRadios
 from swarmtrack.wire.ranging import RangeMessage, range_message
 
 UTC = 1.7e9
@@ -53,4 +54,4 @@ def test_a_flood_of_radios_and_of_teammates_is_not_remembered():
     assert len(radios._radios) == MAX_RADIOS
     for other in range(2, 3000):
         time_of(radios, said(1, other, boot="ffffffff"))
-    assert radios.counters["ranges_beyond_limit"] == 2998 - MAX_MEASURED
+    assert radios.counters["ranges_beyond_limit"] == 2998 - MAX_MEASURED_PER_RADIO

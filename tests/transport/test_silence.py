@@ -6,7 +6,8 @@ import os
 import socket
 import struct
 
-from swarmtrack.transport.silence import REST_S, Silence
+from swarmtrack.transport.limits import REOPEN_REST_S
+from swarmtrack.transport.silence import Silence
 from swarmtrack.transport.tcp_options import set_options
 
 LEASE_S = 2.0
@@ -67,7 +68,7 @@ def test_links_are_left_in_peace_for_a_while_after_they_were_made_anew() -> None
     silence.news([2, 3], 6.0)
     silence.heard(2, 17.0)
     assert silence.to_reopen([2, 3], 17.0) == []
-    assert silence.to_reopen([2, 3], 5.0 + REST_S) == [3]
+    assert silence.to_reopen([2, 3], 5.0 + REOPEN_REST_S) == [3]
 
 
 def test_no_socket_of_this_process_lingers_or_backs_off_and_none_is_left_open_by_looking() -> None:

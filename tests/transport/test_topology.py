@@ -26,7 +26,8 @@ from swarmtrack.errors import ConfigError, TransportError
 from swarmtrack.security.roster import Roster
 from swarmtrack.transport import topology
 from swarmtrack.transport.access_control import access_control
-from swarmtrack.transport.link_watch import NO_DATAGRAMS, LinksUp, LinkWatch
+from swarmtrack.transport.limits import DATAGRAM_LINK_CHECKS
+from swarmtrack.transport.link_watch import LinksUp, LinkWatch
 from swarmtrack.transport.ports import wait_for_ports
 from swarmtrack.transport.settings import Mode, NetworkSettings, check
 from swarmtrack.transport.zenoh_session import close_session, open_session
@@ -201,7 +202,7 @@ def test_a_peer_without_a_link_for_datagrams_is_said_to_be_once_it_lasts(team: T
     whole, half = LinksUp(both, 4, both), LinksUp(both, 3, frozenset({"drone-3"}))
     assert watch.describe(whole) == "linked to drone-2, drone-3"
     assert watch.describe(half) == "linked to drone-2, drone-3; no datagrams with drone-2"
-    for up in [half] * (NO_DATAGRAMS - 1) + [whole] + [half] * (NO_DATAGRAMS - 1):
+    for up in [half] * (DATAGRAM_LINK_CHECKS - 1) + [whole] + [half] * (DATAGRAM_LINK_CHECKS - 1):
         assert watch.news(up, patient=False) == []
     (line,) = watch.news(half, patient=False)
     assert line.startswith("network: no datagrams with drone-2: is UDP let through")

@@ -34,7 +34,8 @@ from swarmtrack.messages import (
 )
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Transport
-from swarmtrack.transport.membership import MAX_BOOTS, MAX_PEERS, Membership
+from swarmtrack.transport.limits import MAX_BOOTS_PER_ID, MAX_PEERS
+from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 from swarmtrack.transport.outgoing import Outgoing
 from swarmtrack.transport.sender_clock import SenderClock
@@ -901,10 +902,10 @@ def test_a_flood_of_names_is_bounded_and_counted() -> None:
     membership = Membership(1, "0000000a", CLASH_S)
     for drone_id in range(2, 2 + MAX_PEERS + 10):
         membership.arrived(drone_id, "0000000b", 0.0)
-    for i in range(MAX_BOOTS + 10):
+    for i in range(MAX_BOOTS_PER_ID + 10):
         membership.arrived(2, f"{100 + i:08x}", 0.0)
     assert len(membership.peers) == MAX_PEERS
-    assert len(membership.alive(2)) == MAX_BOOTS
+    assert len(membership.alive(2)) == MAX_BOOTS_PER_ID
     assert membership.counters["tokens_beyond_limit"] == 10 + 11
 
 

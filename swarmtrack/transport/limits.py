@@ -1,0 +1,139 @@
+"""Every period, timeout, rate and cap of the transport, one section per protocol.
+
+What a config may set is in `settings`.
+"""
+
+from typing import Final
+
+# Membership (`membership`): live IDs; beyond it is an attack or a mistake. And boots of one ID at a time.
+MAX_PEERS, MAX_BOOTS_PER_ID = 1024, 4
+# After a newer boot's token: what an older one still says was not on its way already.
+OLD_BOOT_ON_ITS_WAY_S = 0.5
+
+# Announcements (`peers`, `outgoing`): from a newcomer's token to the first question; what it says of itself may be on
+# its way.
+NEWCOMER_GRACE_S = 0.05
+# Between two questions to a teammate whose announcement is missing.
+ANNOUNCEMENT_QUESTION_PERIOD_S = 0.5
+# Between two requests to announce again, at both ends.
+ANNOUNCEMENT_REQUEST_PERIOD_S: Final = 1.0
+# For which the same bytes are told again: a flood of questions costs no encoding.
+ANSWER_FRESH_S: Final = 0.05
+# More than a hundred newcomers ask at once; whoever is refused asks again.
+ANSWERS_PER_S: Final = 256
+# Events waiting for the agent: more than MAX_PEERS can cause at once, so only a stalled agent loses any.
+MAX_WAITING_EVENTS = 8192
+# Characters of a key; whoever makes up longer ones shall not fill our memory.
+USUAL_KEY_LENGTH = 128
+
+# ID clashes (`zenoh_transport`, `memory`): beyond the lease; of a process that was killed, the token is gone by then.
+CLASH_MARGIN_S: Final = 0.5
+# That two boots of one ID may live beside each other in memory. Nothing there takes time, but a restart in two steps.
+MEMORY_CLASH_S = 0.1
+
+# Silence (`silence`, `zenoh_transport`): between two of a teammate's reports; and without a word, until it is asked.
+REPORT_PERIOD_S: Final = 1.0
+ASK_AFTER_SILENCE_S: Final = 1.2 * REPORT_PERIOD_S
+# Leases without a word, until links are made again; and how many times longer before it is done again.
+REOPEN_LEASES: Final = 2.0
+REOPEN_BACK_OFF: Final = 4.0
+# Between two times that all links are made again; a start with two fifths lost takes ten.
+REOPEN_REST_S: Final = 15.0
+# Between two checks of who says nothing.
+SILENCE_CHECK_PERIOD_S: Final = 0.5
+
+# Clocks of senders (`sender_clock`): how far apart two clocks that somebody keeps may seem. An announcement may have
+# been on its way for so long, and it is the only one; of many reports one was quick.
+ANNOUNCED_CLOCKS_AGREE_S: Final = 2.0
+REPORTED_CLOCKS_AGREE_S: Final = 1.0
+# At least, of a time that is known by its arrival only.
+ARRIVAL_SIGMA_S: Final = 0.2
+# How many differences count: seconds, so that a clock that drifts is followed.
+CLOCK_DIFFERENCES_KEPT: Final = 16
+# No message is on its way for so long over a link that lives, so a clock was set.
+CLOCK_STEP_S: Final = 5.0
+
+# Congestion (`congestion`): round trips that are kept of a link.
+CONGESTION_SAMPLES: Final = 3
+# Without an answer to what was sent, while it could be that nothing was sent.
+SIGN_OF_LIFE_S: Final = 0.5
+# The mean round trip moves by an eighth of what a new sample is off.
+ROUND_TRIP_MEAN_WEIGHT: Final = 8
+
+# Pacing (`pacing`, `giving_way`): packets wait so long, far beyond what a radio that sleeps between beacons adds.
+PACKETS_LATE_S: Final = 0.25
+# That TCP could not send yet: a quarter of a second of 64 kbit/s.
+PACKETS_UNSENT_BYTES: Final = 2048
+# Between two cuts: until the first is felt.
+PACE_CUT_HOLD_S: Final = 0.6
+PACE_FIRST_BYTES_PER_S: Final = 2000.0
+PACE_LEAST_BYTES_PER_S: Final = 1000.0
+# Growth in a second: before packets waited, and after.
+PACE_QUICK_GROWTH, PACE_CAREFUL_GROWTH = 8.0, 1.2
+PACE_BURST_S: Final = 0.2
+# Times what is asked for: no limit then.
+PACE_UNLIMITED_FACTOR: Final = 2.0
+# Of each message below Zenoh: QUIC or TCP and TLS, IP, the radio's header.
+MESSAGE_OVERHEAD_BYTES: Final = 80
+# Between two checks of the links.
+PACE_CHECK_PERIOD_S: Final = 0.2
+# After which it is worth a line of the log again.
+PACE_LOG_QUIET_S: Final = 60.0
+
+# Links (`link_watch`, `knocking`, `tcp_options`, `ports`, `joining`): between two checks.
+LINK_CHECK_PERIOD_S: Final = 1.0
+# Checks after the start: whoever starts with us is there by then.
+LINK_START_CHECKS: Final = 10
+# Checks without a link for datagrams; after a renewal of keys half a minute is usual.
+DATAGRAM_LINK_CHECKS: Final = 45
+# Names in one line of the log.
+LINK_NAMES_SHOWN: Final = 8
+# A kernel asks no more often.
+KNOCK_PERIOD_S: Final = 1.0
+# A new link's first loss is not much older.
+TCP_OPTIONS_PERIOD_S: Final = 0.2
+# A predecessor that is ending holds its ports for a moment.
+PORT_TRIES: Final = 8
+PORT_TRY_PERIOD_S: Final = 0.25
+# Between two attempts.
+REJOIN_PERIOD_S: Final = 1.0
+
+# Ranging radios (`ranging_radios`): processes at a time, of whom the one that was silent longest is forgotten; and
+# teammates that one may measure.
+MAX_RADIOS, MAX_MEASURED_PER_RADIO = 4, 1024
+
+# Zenoh (`zenoh_config`): bytes of a fragmented message; Zenoh drops larger ones before we see them.
+MAX_ZENOH_BYTES: Final = 1024 * 1024
+# Between two with keys (`links.Links.PAIR`).
+MAX_LINKS_PER_PAIR: Final = 2
+# In one lease. With 4, a link of idle datagrams was lost twice a minute where a fifth of all frames is.
+KEEP_ALIVES_PER_LEASE, DATAGRAM_KEEP_ALIVES_PER_LEASE = 4, 6
+# What stalls in a handshake waits longer and longer, and is better begun again; one that loses two packets is not.
+HANDSHAKE_MS: Final = 4000
+# Then the next router is tried.
+CLIENT_HANDSHAKE_MS: Final = 1500
+# A client's `open` blocks until a router answers, but not for ever.
+CLIENT_CONNECT_MS: Final = 6000
+
+# Session (`zenoh_session`, `zenoh_listener`, `zenoh_speaker`, `zenoh_transport`).
+SESSION_OPEN_S: Final = 10.0
+# A packet or two of a question may be lost.
+SESSION_ANSWER_S: Final = 1.5
+# SIGTERM must end the agent within 2 s; a link that hangs half open would hold us for 3.
+SESSION_CLOSE_S: Final = 1.5
+SESSION_PUT_S: Final = 3.0
+# For answers to who lives; and teams that are named then.
+TEAMS_ANSWER_S: Final = 1.0
+MOST_TEAMS_NAMED = 5
+MAX_SPOKEN_KEYS: Final = 1024
+MAX_LIVELINESS_TOKENS: Final = 65536
+
+# From Zenoh's threads into the event loop (`zenoh_bridge`): samples, 64 MiB at most, and never reached while the loop
+# turns.
+BRIDGE_CAPACITY: Final = 1024
+# Samples taken in one turn of the loop: at 0.2 ms for the dearest, 6 ms.
+BRIDGE_HANDFUL: Final = 32
+# Where only the newest counts: between two handfuls, 3200 samples a second at most, whoever sends.
+BRIDGE_REST_S: Final = 0.01
+# Before samples that came in between are read: of one key, the newest, at most twenty times per second.
+BRIDGE_ROUND_S: Final = 0.05
