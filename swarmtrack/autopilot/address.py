@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import Literal
 from urllib.parse import parse_qsl
 
+from swarmtrack.autopilot.limits import DEFAULT_BAUD, SLOWEST_BAUD
 from swarmtrack.errors import SourceError
 
 Scheme = Literal["udpin", "udpout", "tcp", "serial", "tlog", "ulog", "none"]
 
-DEFAULT_BAUD = 115200  # USB ports ignore it; on a UART the wrong one is named within 3 s
-# A smaller number after the last colon belongs to the name (/dev/serial/by-path/…-usb-0:1).
-SLOWEST_BAUD = 1200
 
 # What people write, to what we call it. MAVSDK's and pymavlink's plain `udp` both listen.
 SCHEMES: dict[str, Scheme] = {

@@ -27,22 +27,21 @@ from collections.abc import Sequence
 from itertools import combinations
 from typing import NamedTuple
 
-BUCKET = 1.0  # s: one extreme is kept of each
-WINDOW = 60  # buckets: long against jitter, short against the wandering of a crystal with temperature
-SKEW_BASELINE = 10.0  # s of stamps before a slope is read from them
-MAX_SKEW = 1e-3  # crystals stay below 1e-4; what is steeper is congestion
-MAX_SLEW = 0.02  # s/s: how fast a correction is brought in, so that no sample's dt is wrong by more than 2 %
-HARD_RESYNC = 0.1  # s: an error this large is corrected at once, and said
-CROSSING = 0.02  # s: bounds that cross by more mean a stepped clock, by less a request dated back
-MIN_EXCHANGES = 5  # a first reply may have been seconds under way
-DRIFT_BASELINE = (
-    4.0  # s of exchanges that one line must explain before its slope is believed: two restarts at 1 %
+from swarmtrack.autopilot.limits import (
+    CLOCK_BUCKET_S,
+    CLOCK_CROSSING_S,
+    CLOCK_DRIFT_BASELINE_S,
+    CLOCK_EXCHANGES_KEPT,
+    CLOCK_LEAST_EXCHANGES,
+    CLOCK_LINE_SLACKS_S,
+    CLOCK_MAX_SKEW,
+    CLOCK_MAX_SLEW,
+    CLOCK_RESYNC_S,
+    CLOCK_SKEW_BASELINE_S,
+    CLOCK_UNKNOWN_LATENCY_S,
+    CLOCK_UNSTEADY_RESTARTS,
+    CLOCK_WINDOW_BUCKETS,
 )
-EXCHANGES = 20  # kept for it: the first, fast ones and ten seconds more
-# s: how far an exchange may miss the line. A simulator's stamps are those of its last step, 4 ms in PX4.
-SLACKS = (0.0, 0.5e-3, 1e-3, 2e-3, 5e-3)
-UNSTEADY = 3  # restarts within WINDOW seconds: the clock neither keeps time nor errs by a constant rate
-UNKNOWN_LATENCY = 0.005  # s: standard deviation to own up to without TIMESYNC
 
 Point = tuple[float, float]
 
@@ -51,14 +50,16 @@ class Envelope:
     """The extreme of y in each bucket of x, over the window. sign +1: smallest, −1: largest."""
 
     def __init__(self, sign: int) -> None:
-        self.points: deque[Point] = deque(maxlen=WINDOW)
+        self.points: deque[Point] = deque(maxlen=CLOCK_WINDOW_BUCKETS)
         self._sign = sign
 
     def add(self, x: float, y: float) -> bool:
         """Note a point; tell whether it begins a new bucket."""
         if self.points:
             x = max(x, self.points[-1][0])  # one stream's stamps may lag a little behind another's
-        new = not self.points or math.floor(x / BUCKET) > math.floor(self.points[-1][0] / BUCKET)
+        new = not self.points or math.floor(x / CLOCK_BUCKET_S) > math.floor(
+            self.points[-1][0] / CLOCK_BUCKET_S
+        )
         if new:
             self.points.append((x, y))
         elif self._sign * y < self._sign * self.points[-1][1]:
@@ -129,8 +130,8 @@ class ClockMap:
         self.sigma = math.inf
         self.skew = self.drift = 0.0
         self._newest = -math.inf
-        self._past: deque[Exchange] = deque(maxlen=EXCHANGES)
-        self._restarted: deque[float] = deque(maxlen=UNSTEADY)
+        self._past: deque[Exchange] = deque(maxlen=CLOCK_EXCHANGES_KEPT)
+        self._restarted: deque[float] = deque(maxlen=CLOCK_UNSTEADY_RESTARTS)
         self._restart()
 
     def _restart(self) -> None:
@@ -151,7 +152,7 @@ class ClockMap:
         exchange = Exchange(stamp, sent - stamp, received - stamp)
         self._bound_above(stamp, received)
         self._past.append(exchange)
-        if exchange.earliest > self._line(stamp) + CROSSING or self._fell_behind(exchange):
+        if exchange.earliest > self._line(stamp) + CLOCK_CROSSING_S or self._fell_behind(exchange):
             self.restarts += 1
             self._restarted.append(stamp)
             explained = self._explain()
@@ -161,7 +162,7 @@ class ClockMap:
                 self._bound_below(known)
         else:
             self._bound_below(exchange)
-        if self._exchanges >= MIN_EXCHANGES:
+        if self._exchanges >= CLOCK_LEAST_EXCHANGES:
             width = self._width(stamp - self._reference)
             self._latency = max(0.0, width) / 2
             # Uniform between the bounds, plus how far the envelope itself is uncertain.
@@ -180,28 +181,36 @@ class ClockMap:
     @property
     def _is_unsteady(self) -> bool:
         """Whether the bounds keep crossing, and no drift explains it."""
-        often = len(self._restarted) == UNSTEADY and self._newest - self._restarted[0] < WINDOW * BUCKET
+        often = (
+            len(self._restarted) == CLOCK_UNSTEADY_RESTARTS
+            and self._newest - self._restarted[0] < CLOCK_WINDOW_BUCKETS * CLOCK_BUCKET_S
+        )
         return often and not self.drift
 
     def _fell_behind(self, new: Exchange) -> bool:
         """Whether this exchange ended before an earlier one allows, for a clock that keeps its drift."""
-        fastest = self.drift - MAX_SKEW
+        fastest = self.drift - CLOCK_MAX_SKEW
         return any(
-            new.latest + CROSSING < old.earliest + fastest * (new.stamp - old.stamp) for old in self._past
+            new.latest + CLOCK_CROSSING_S < old.earliest + fastest * (new.stamp - old.stamp)
+            for old in self._past
         )
 
     def _explain(self) -> bool:
         """After bounds have crossed: find the drift that explains it. False where it was a step, or is not known."""
-        fits = [slopes for slack in SLACKS if (slopes := slopes_through(self._past, slack)) is not None]
+        fits = [
+            slopes
+            for slack in CLOCK_LINE_SLACKS_S
+            if (slopes := slopes_through(self._past, slack)) is not None
+        ]
         if not fits:
             while len(self._past) > 1:
                 self._past.popleft()
             return False
-        if self._past[-1].stamp - self._past[0].stamp < DRIFT_BASELINE:
+        if self._past[-1].stamp - self._past[0].stamp < CLOCK_DRIFT_BASELINE_S:
             return False
         # The tightest fit is the best guess, the next one says how wrong it may be.
         best, doubtful = fits[0], fits[min(1, len(fits) - 1)]
-        crystal = doubtful[0] <= MAX_SKEW and doubtful[1] >= -MAX_SKEW
+        crystal = doubtful[0] <= CLOCK_MAX_SKEW and doubtful[1] >= -CLOCK_MAX_SKEW
         self.drift = 0.0 if crystal else sum(best) / 2
         return not crystal
 
@@ -235,20 +244,20 @@ class ClockMap:
 
     def _fit(self) -> None:
         points = list(self._upper.points)
-        if len(points) < 3 or points[-1][0] - points[0][0] < SKEW_BASELINE:
+        if len(points) < 3 or points[-1][0] - points[0][0] < CLOCK_SKEW_BASELINE_S:
             slope = 0.0
         else:
             # The bucket that has just begun holds one sample, hardly the fastest of its second.
             slope, _ = supporting_line(points[:-1])
-            slope = min(max(slope, -MAX_SKEW), MAX_SKEW)
+            slope = min(max(slope, -CLOCK_MAX_SKEW), CLOCK_MAX_SKEW)
         self.skew = self.drift + slope
         self._intercept = min(y - slope * x for x, y in points)
-        if self._exchanges < MIN_EXCHANGES:
-            self.sigma = self._sigma(UNKNOWN_LATENCY)
+        if self._exchanges < CLOCK_LEAST_EXCHANGES:
+            self.sigma = self._sigma(CLOCK_UNKNOWN_LATENCY_S)
 
     def _sigma(self, latency: float) -> float:
         """latency: standard deviation of what it may be wrong by."""
-        return math.hypot(latency, self._scatter(), CROSSING if self._is_unsteady else 0.0)
+        return math.hypot(latency, self._scatter(), CLOCK_CROSSING_S if self._is_unsteady else 0.0)
 
     def _scatter(self) -> float:
         """Median height of the seconds' fastest messages above the line [s]: what is left of the jitter."""
@@ -269,8 +278,8 @@ class ClockMap:
             return
         self.offset += self.drift * elapsed
         error = target - self.offset
-        if abs(error) > HARD_RESYNC:
+        if abs(error) > CLOCK_RESYNC_S:
             self.offset = target
             self.resyncs += 1
         else:
-            self.offset += min(max(error, -MAX_SLEW * elapsed), MAX_SLEW * elapsed)
+            self.offset += min(max(error, -CLOCK_MAX_SLEW * elapsed), CLOCK_MAX_SLEW * elapsed)

@@ -9,9 +9,10 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.limits import LINK_NEWS_PERIOD_S
+
 log = logging.getLogger(__package__)
 
-SAY_AGAIN = 10.0  # s before the same news is logged again
 OPENING = "opening"
 
 
@@ -42,7 +43,7 @@ class Contact:
 
 
 class News:
-    """Logs, but the same news at most every SAY_AGAIN seconds: a flapping link writes no stream of lines."""
+    """Logs, but the same news at most every LINK_NEWS_PERIOD_S seconds: a flapping link writes no stream of lines."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
@@ -50,7 +51,7 @@ class News:
 
     def say(self, level: int, name: str, text: str, *values: object) -> None:
         now = self._now()
-        if now - self._said.get(name, -math.inf) >= SAY_AGAIN:
+        if now - self._said.get(name, -math.inf) >= LINK_NEWS_PERIOD_S:
             self._said[name] = now
             log.log(level, text, *values)
 

@@ -13,6 +13,7 @@ import struct
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from swarmtrack.autopilot.limits import DATAGRAMS_PER_TURN
 from swarmtrack.clock import Clock
 
 # Not in Python's socket module. The answer comes under the same number, as a struct timespec.
@@ -20,8 +21,6 @@ SO_TIMESTAMPNS = 35
 TIMESPEC = struct.Struct("@ll")
 ANCILLARY = socket.CMSG_SPACE(TIMESPEC.size)
 LARGEST = 65536  # bytes
-# Datagrams read in one piece, before others on the event loop get their turn.
-MOST = 200
 
 Address = tuple[str, int]
 
@@ -43,10 +42,10 @@ class DatagramSocket:
         self._looked_at = clock.now()
 
     def waiting(self) -> Iterator[Datagram]:
-        """What has come since the last call, in its order, `MOST` at most. Raises `OSError` for what the network says
-        instead: the rest is read by the next call."""
+        """What has come since the last call, in its order, `DATAGRAMS_PER_TURN` at most. Raises `OSError` for what the
+        network says instead: the rest is read by the next call."""
         now, utc, since = self._clock.now(), self._clock.utc(), self._looked_at
-        for _ in range(MOST):
+        for _ in range(DATAGRAMS_PER_TURN):
             try:
                 data, ancillary, _, sender = self._socket.recvmsg(LARGEST, ANCILLARY)
             except BlockingIOError:

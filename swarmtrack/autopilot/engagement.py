@@ -20,10 +20,17 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.limits import (
+    AGENT_BACKLOG_S,
+    AGENT_STOOD_STILL_S,
+    ENGAGEMENT_SILENT_S,
+    FAILSAFE_TOLD_WITHIN_S,
+    LONGEST_FAILSAFE_TEXT,
+    MODE_SETTLES_S,
+)
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
 from swarmtrack.plain_text import plain
 
-CURRENT_MODE_HZ = 5.0
 # custom_mode of an ArduCopter; and PX4's main mode, in the third byte.
 ARDUCOPTER_GUIDED, PX4_OFFBOARD = 4, 6
 ROTORCRAFT = frozenset(
@@ -32,15 +39,6 @@ ROTORCRAFT = frozenset(
         common.MAV_TYPE_OCTOROTOR, common.MAV_TYPE_TRICOPTER, common.MAV_TYPE_DODECAROTOR,
     }
 )  # fmt: skip
-# s without a heartbeat: nobody knows the mode any more. Heartbeats come once per second, and with each change of mode.
-SILENT_S = 2.5
-# s between two looks at the clock: sooner than a guard lets go of an agent that stood still for as long.
-STOOD_STILL_S = 0.9
-# s after it has gone on: so long what comes may have waited in a buffer for it.
-BACKLOG_S = 0.5
-# s: so long after a change of the mode it is known whether the pilot intended that; and before it, a failsafe was told.
-SETTLES_S, FAILSAFE_TOLD_S = 0.6, 3.0
-LONGEST_REASON = 40  # characters of an autopilot's own words
 ARDUCOPTER_MODES = {
     0: "STABILIZE", 1: "ACRO", 2: "ALT_HOLD", 3: "AUTO", 4: "GUIDED", 5: "LOITER", 6: "RTL", 7: "CIRCLE", 9: "LAND",
     11: "DRIFT", 13: "SPORT", 15: "AUTOTUNE", 16: "POSHOLD", 17: "BRAKE", 18: "THROW", 19: "AVOID_ADSB",
@@ -151,13 +149,13 @@ class PilotEngagement:
     def on_text(self, t: float, text: str) -> None:
         """STATUSTEXT at t."""
         if "failsafe" in text.lower():
-            self._failsafe, self._failsafe_at = plain(text)[:LONGEST_REASON], t
+            self._failsafe, self._failsafe_at = plain(text)[:LONGEST_FAILSAFE_TEXT], t
 
     def tick(self, now: float) -> None:
         """Time passes."""
         self._look_for_gap(now)
         self._ticked_at = now
-        if now - self._heard_at > SILENT_S:
+        if now - self._heard_at > ENGAGEMENT_SILENT_S:
             self.fail("the autopilot is silent")
         elif self.engaged:
             self._judge(now)
@@ -170,7 +168,7 @@ class PilotEngagement:
     def _look_for_gap(self, t: float) -> None:
         """Between two looks at the clock, or from the last one to what was heard."""
         gap = 0.0 if self._ticked_at is None else t - self._ticked_at
-        if gap <= STOOD_STILL_S:
+        if gap <= AGENT_STOOD_STILL_S:
             return
         self._woke_at = t
         why = f"{STOOD_STILL} for {gap:.1f} s"
@@ -183,7 +181,7 @@ class PilotEngagement:
         """What was heard while this agent stood still is news of a flight that it was not part of: also where the clock
         was looked at first, and what had waited is read thereafter."""
         self._look_for_gap(t)
-        if t < self._woke_at + BACKLOG_S:
+        if t < self._woke_at + AGENT_BACKLOG_S:
             self.fail(STOOD_STILL)
 
     def _intends(self) -> bool | None:
@@ -208,7 +206,7 @@ class PilotEngagement:
         elif intends is False:
             self._fire(EngagementEvent.LEFT, LEFT if self._intended is not None else self._mode_in_words(t))
         elif not self._guided and (fell_out or self.engaged):
-            self._settles_at = t + SETTLES_S if self.engaged and self._intended is not None else t
+            self._settles_at = t + MODE_SETTLES_S if self.engaged and self._intended is not None else t
             self._fire(EngagementEvent.FAILED, self._mode_in_words(t))
         elif not consents:
             self._fire(EngagementEvent.SWITCHED_OFF, self._who_withdrew(t))
@@ -227,7 +225,7 @@ class PilotEngagement:
         return "the pilot's switch is off" if heard else "the transmitter is not heard"
 
     def _mode_in_words(self, t: float) -> str:
-        why = f" ({self._failsafe})" if t - self._failsafe_at < FAILSAFE_TOLD_S else ""
+        why = f" ({self._failsafe})" if t - self._failsafe_at < FAILSAFE_TOLD_WITHIN_S else ""
         return f"mode is {mode_name(self._mode, self._kind)} now{why}"
 
     def _fire(self, event: EngagementEvent, why: str) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.limits import LANDED_STATE_AGE_S
 from swarmtrack.messages import FlightState
 
 FLYING = (common.MAV_STATE_ACTIVE, common.MAV_STATE_CRITICAL, common.MAV_STATE_EMERGENCY)
@@ -20,8 +21,6 @@ IN_THE_AIR = (
     common.MAV_LANDED_STATE_TAKEOFF,
     common.MAV_LANDED_STATE_LANDING,
 )
-# s that a landed state is believed beside the heartbeat.
-STATE_AGE = 5.0
 
 
 class FlightWatch:
@@ -34,7 +33,7 @@ class FlightWatch:
 
     def on_heartbeat(self, t: float, m: Any) -> FlightState:
         """HEARTBEAT has come at t [s]."""
-        if t - self._landed_state_at > STATE_AGE:
+        if t - self._landed_state_at > LANDED_STATE_AGE_S:
             # Armed on the ground ArduPilot is in STANDBY.
             armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
             self._fly(t, is_airborne=armed and m.system_status in FLYING)

@@ -20,7 +20,6 @@ HEADER_V1, HEADER_V2 = 6, 10  # bytes, magic included
 CRC_LENGTH = 2
 SIGNATURE_LENGTH = 13
 SIGNED = 0x01  # the only incompatibility flag there is
-FLUSH_AFTER = 0.05  # s of silence on a stream: the rest of a frame would have come, so its header was false
 
 MAGIC = re.compile(b"[\xfd\xfe]")
 CRC_EXTRA: dict[int, bytes] = {i: bytes((m.crc_extra,)) for i, m in common.mavlink_map.items()}

@@ -21,15 +21,17 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.limits import (
+    GPS_FARTHEST_FROM_ORIGIN_M,
+    GPS_FIX_AGE_S,
+    GPS_USUAL_SIGMA_M,
+    GPS_WORST_SIGMA_M,
+)
 from swarmtrack.geometry.geodesy import Geodetic, to_ned
 from swarmtrack.messages import Array
 
-USUAL_SIGMA = 1.5  # m per axis of a receiver that does not say: open sky, no corrections
-WORST_SIGMA = 5.0  # m: what ArduPilot's estimator asks of a receiver before it uses it
 FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
-FIX_AGE = 3.0  # s that a fix is believed: PX4 tells of a receiver that went once a second
 UNKNOWN = 255  # satellites
-FARTHEST = 100e3  # m from the team's origin: one of the two is wrong
 
 
 class GlobalPosition:
@@ -40,7 +42,7 @@ class GlobalPosition:
     """
 
     def __init__(self, origin: Geodetic, stated_sigma: float | None = None) -> None:
-        self.sigma = self.vertical_sigma = stated_sigma or USUAL_SIGMA
+        self.sigma = self.vertical_sigma = stated_sigma or GPS_USUAL_SIGMA_M
         self._origin = origin
         self._stated_sigma = stated_sigma
         self._fix_at = self._told_at = -math.inf
@@ -48,11 +50,11 @@ class GlobalPosition:
 
     def lack(self, now: float) -> str:
         """Why there is no position, in a few words; empty while there is one."""
-        if now - self._fix_at > FIX_AGE:
+        if now - self._fix_at > GPS_FIX_AGE_S:
             return "no GPS_RAW_INT comes"
         if self._fix_lack:
             return self._fix_lack
-        return "no GLOBAL_POSITION_INT comes" if now - self._told_at > FIX_AGE else self._place_lack
+        return "no GLOBAL_POSITION_INT comes" if now - self._told_at > GPS_FIX_AGE_S else self._place_lack
 
     def on_fix(self, t: float, m: Any) -> None:
         """GPS_RAW_INT has come at t [s]."""
@@ -63,12 +65,12 @@ class GlobalPosition:
         if m.fix_type < FIX_3D:
             seen = "" if m.satellites_visible == UNKNOWN else f" with {m.satellites_visible} satellites"
             self._fix_lack = f"GPS fix {m.fix_type}{seen}, expected a 3D fix (3 or more)"
-        elif max(told) > WORST_SIGMA:
-            self._fix_lack = f"GPS ±{max(told):.1f} m, expected ±{WORST_SIGMA:g} m or better"
+        elif max(told) > GPS_WORST_SIGMA_M:
+            self._fix_lack = f"GPS ±{max(told):.1f} m, expected ±{GPS_WORST_SIGMA_M:g} m or better"
         else:
             horizontal, vertical = told
-            self.sigma = self._stated_sigma or horizontal or vertical or USUAL_SIGMA
-            self.vertical_sigma = self._stated_sigma or vertical or horizontal or USUAL_SIGMA
+            self.sigma = self._stated_sigma or horizontal or vertical or GPS_USUAL_SIGMA_M
+            self.vertical_sigma = self._stated_sigma or vertical or horizontal or GPS_USUAL_SIGMA_M
 
     def place(self, t: float, m: Any) -> tuple[Array, Array] | None:
         """Position (3,) m and velocity (3,) m/s, north, east, down, by GLOBAL_POSITION_INT that came at t; or None."""
@@ -79,7 +81,7 @@ class GlobalPosition:
         self._place_lack = ""
         if m.lat == m.lon == 0:
             self._place_lack = "the estimator has no position yet (0° N 0° E)"
-        elif away > FARTHEST:
-            expected = f"expected at most {FARTHEST * 1e-3:.0f} km"
+        elif away > GPS_FARTHEST_FROM_ORIGIN_M:
+            expected = f"expected at most {GPS_FARTHEST_FROM_ORIGIN_M * 1e-3:.0f} km"
             self._place_lack = f"{away * 1e-3:.0f} km from the team's origin, {expected}"
         return None if self.lack(t) else (position, 1e-2 * np.array((m.vx, m.vy, m.vz)))

@@ -18,17 +18,17 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.limits import (
+    GYRO_DELAY_LONGEST_S,
+    GYRO_DELAY_TOLD_SIGMA_S,
+    GYRO_DELAY_UNKNOWN_SIGMA_S,
+    PARAMETER_REQUEST_PERIOD_S,
+    PARAMETER_REQUESTS,
+)
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.streams import ATTITUDE_QUATERNION
 
 log = logging.getLogger(__package__)
-
-ASK_EVERY = 1.0  # s
-ATTEMPTS = 5  # an ArduPilot that boots answers when it has read its storage
-# s, one sigma, of a delay that the autopilot told: seven flights of ArduPilot and one of PX4 were no farther off.
-TOLD_SIGMA = 1e-3
-UNKNOWN_SIGMA = 10e-3  # s, likewise, of an autopilot whose filters we do not know
-LATEST = 0.1  # s: what says more is no filter of a gyro that somebody flies by
 
 
 class GyroDelay(NamedTuple):
@@ -100,7 +100,10 @@ class GyroDelays:
     def __init__(self, told_s: float | None, *, asks: bool, name: str) -> None:
         self._told_s = told_s
         self._reader = ParameterReader(
-            _names_of, asks=asks and told_s is None, every_s=ASK_EVERY, attempts=ATTEMPTS
+            _names_of,
+            asks=asks and told_s is None,
+            every_s=PARAMETER_REQUEST_PERIOD_S,
+            attempts=PARAMETER_REQUESTS,
         )
         self._name = name
         self._said: GyroDelay | None = None
@@ -148,10 +151,12 @@ class GyroDelays:
         if self._told_s is not None:
             return GyroDelay(self._told_s, 0.0, "motion.gyro_delay_s")
         if parameter is None:
-            return GyroDelay(0.0, UNKNOWN_SIGMA, "of this autopilot no filter is known")
+            return GyroDelay(0.0, GYRO_DELAY_UNKNOWN_SIGMA_S, "of this autopilot no filter is known")
         value = self._reader.values.get(parameter.name)
-        if value is not None and 0.0 <= parameter.delay(value) <= LATEST:  # NaN is not
-            return GyroDelay(parameter.delay(value), TOLD_SIGMA, f"{parameter.name} is {value:g} Hz")
+        if value is not None and 0.0 <= parameter.delay(value) <= GYRO_DELAY_LONGEST_S:  # NaN is not
+            return GyroDelay(
+                parameter.delay(value), GYRO_DELAY_TOLD_SIGMA_S, f"{parameter.name} is {value:g} Hz"
+            )
         found = "was not told" if value is None else f"was told as {value:g} Hz"
         cause = f"{parameter.name} {found}, and usually is {parameter.usual_hz:g} Hz"
         return GyroDelay(parameter.delay(parameter.usual_hz), parameter.usual_sigma, cause)

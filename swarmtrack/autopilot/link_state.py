@@ -16,15 +16,13 @@ from dataclasses import dataclass
 
 from swarmtrack.autopilot.contact import OPENING, Contact, News
 from swarmtrack.autopilot.framer import Framer
+from swarmtrack.autopilot.limits import AUTOPILOT_LOST_AFTER_S, IMU_STALE_AFTER_S, SILENCE_DIAGNOSED_AFTER_S
 from swarmtrack.autopilot.links import Link
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
 from swarmtrack.autopilot.signing import Codec
 from swarmtrack.autopilot.streams import StreamRequests
-from swarmtrack.autopilot.telemetry import STALE_AFTER, Telemetry
+from swarmtrack.autopilot.telemetry import Telemetry
 from swarmtrack.messages import LinkStatus
-
-LOST_AFTER = 3.0  # s without any message of the autopilot
-DIAGNOSE_AFTER = 2.5  # s to wait before a silence is given a name
 
 
 class State(enum.StrEnum):
@@ -67,7 +65,10 @@ class LinkState:
                 self.news.say(logging.INFO, "streaming", "%s: streaming: %s", address, text)
             return
         name, text = self._sentence(now)
-        patient = contact.down is None and now - max(contact.opened_at, contact.known_at) < DIAGNOSE_AFTER
+        patient = (
+            contact.down is None
+            and now - max(contact.opened_at, contact.known_at) < SILENCE_DIAGNOSED_AFTER_S
+        )
         if name != self._trouble and (not patient or self.state is State.LOST):
             self._trouble = name
             self.news.warn(name, "%s: %s: %s", address, self.state, text)
@@ -76,12 +77,14 @@ class LinkState:
         contact, telemetry = self.contact, self.telemetry
         if contact.down is not None or contact.system is None:
             return State.SEARCHING
-        if now - contact.heard_at > LOST_AFTER:
+        if now - contact.heard_at > AUTOPILOT_LOST_AFTER_S:
             return State.LOST
         silence = now - telemetry.imu_at
-        if silence > LOST_AFTER:
+        if silence > AUTOPILOT_LOST_AFTER_S:
             return State.REQUESTING
-        return State.STALE if silence > max(STALE_AFTER, 3 * telemetry.cadence.period) else State.STREAMING
+        return (
+            State.STALE if silence > max(IMU_STALE_AFTER_S, 3 * telemetry.cadence.period) else State.STREAMING
+        )
 
     def _sentence(self, now: float) -> tuple[str, str]:
         """(name, text) of the present state; the name does not change while only a number does."""

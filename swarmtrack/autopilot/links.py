@@ -26,20 +26,19 @@ import serial
 
 from swarmtrack.autopilot.address import LinkAddress, parse_address
 from swarmtrack.autopilot.datagrams import Address, DatagramSocket, open_socket
+from swarmtrack.autopilot.limits import (
+    LINK_CONNECT_TIMEOUT_S,
+    LINK_SEND_BUFFER_BYTES,
+    LONGEST_RECORDING_S,
+    RECORDS_PER_TURN,
+    SERIAL_READ_BYTES,
+    UDP_PEER_SILENT_S,
+)
 from swarmtrack.autopilot.ulog import read_ulog
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 
 log = logging.getLogger(__name__)
-
-# s without a valid frame, after which another address may be the autopilot's: a router that was restarted. Heartbeats
-# come each second.
-PEER_SILENT = 2.0
-CONNECT_TIMEOUT = 2.5  # s: every failure names its reason within 3 s
-READ_SIZE = 4096  # bytes: a tenth of a second of the fastest serial link
-# bytes waiting to be sent; beyond it new frames are dropped, all of ours are soon repeated
-SEND_BUFFER = 4096
-RECORDS_PER_TURN = 200  # of a recording as fast as it goes, before others on the event loop get their turn
 
 
 class LinkDown(Exception):
@@ -157,8 +156,8 @@ class UdpLink(LiveLink):
     """`udpin` listens, and answers the autopilot where it speaks from; `udpout` speaks first.
 
     The peer is learned from a valid frame of our autopilot only: otherwise whoever sends one byte captures our answers.
-    It is kept until it has been silent for PEER_SILENT: what others send meanwhile is counted and not read, or anybody
-    in reach could tell us where we are.
+    It is kept until it has been silent for UDP_PEER_SILENT_S: what others send meanwhile is counted and not read, or
+    anybody in reach could tell us where we are.
     """
 
     datagrams = True
@@ -176,10 +175,12 @@ class UdpLink(LiveLink):
         self._peer = self._stranger = None
         host, port = self.address.host, self.address.port
         try:
-            async with asyncio.timeout(CONNECT_TIMEOUT):
+            async with asyncio.timeout(LINK_CONNECT_TIMEOUT_S):
                 self._socket = await open_socket(host, port, self._clock, listens=self._listens)
         except TimeoutError as error:  # nothing else of UDP takes its time
-            raise LinkDown(f"no name server tells within {CONNECT_TIMEOUT:g} s where {host} is") from error
+            raise LinkDown(
+                f"no name server tells within {LINK_CONNECT_TIMEOUT_S:g} s where {host} is"
+            ) from error
         except OSError as error:
             raise LinkDown(self._why(error)) from error
         loop = asyncio.get_running_loop()
@@ -196,7 +197,7 @@ class UdpLink(LiveLink):
         """All that came since the last look."""
         try:
             for arrival, data, sender in opened.waiting():
-                if self._peer not in (None, sender) and arrival - self._heard_at < PEER_SILENT:
+                if self._peer not in (None, sender) and arrival - self._heard_at < UDP_PEER_SILENT_S:
                     self._refuse(sender)
                 elif receiver.received(arrival, data):
                     self._peer, self._heard_at = sender, arrival
@@ -257,10 +258,12 @@ class TcpLink(LiveLink, asyncio.Protocol):
         loop = asyncio.get_running_loop()
         self._receiver, self._lost = receiver, loop.create_future()
         try:
-            async with asyncio.timeout(CONNECT_TIMEOUT):
+            async with asyncio.timeout(LINK_CONNECT_TIMEOUT_S):
                 await loop.create_connection(lambda: self, self.address.host, self.address.port)
         except TimeoutError as error:
-            raise LinkDown(f"no answer from {self.address.host} within {CONNECT_TIMEOUT:g} s") from error
+            raise LinkDown(
+                f"no answer from {self.address.host} within {LINK_CONNECT_TIMEOUT_S:g} s"
+            ) from error
         except OSError as error:
             raise LinkDown(network_trouble(error, self.address)) from error
         try:
@@ -282,7 +285,7 @@ class TcpLink(LiveLink, asyncio.Protocol):
         self.drop("the other end closed the connection" if exc is None else f"the connection broke: {exc}")
 
     def send(self, data: bytes) -> None:
-        if self._transport is not None and self._transport.get_write_buffer_size() <= SEND_BUFFER:
+        if self._transport is not None and self._transport.get_write_buffer_size() <= LINK_SEND_BUFFER_BYTES:
             self._transport.write(data)
 
     def wire(self) -> Wire | None:
@@ -342,7 +345,7 @@ class SerialLink(LiveLink):
         arrival = self._clock.now()
         assert self._fd is not None
         try:
-            data = os.read(self._fd, READ_SIZE)
+            data = os.read(self._fd, SERIAL_READ_BYTES)
         except BlockingIOError:
             return
         except OSError as error:
@@ -366,7 +369,7 @@ class SerialLink(LiveLink):
         self._fd = None
 
     def send(self, data: bytes) -> None:
-        if self._fd is None or len(self._unsent) + len(data) > SEND_BUFFER:
+        if self._fd is None or len(self._unsent) + len(data) > LINK_SEND_BUFFER_BYTES:
             return
         self._unsent += data
         self._writable()
@@ -474,7 +477,6 @@ class UlogLink(RecordingLink):
 STAMP_LENGTH = 8
 # A stamp of the years 2004 … 2100 in microseconds with a magic byte behind it.
 RECORD = re.compile(rb"\x00[\x03-\x0e].{6}[\xfd\xfe]", re.DOTALL)
-LONGEST_PAUSE = 86_400.0  # s between two records; what claims more is not a stamp
 
 
 def records(data: mmap.mmap | bytes) -> Iterator[tuple[float, bytes]]:
@@ -489,7 +491,7 @@ def records(data: mmap.mmap | bytes) -> Iterator[tuple[float, bytes]]:
         start = match.start()
         stamp = int.from_bytes(data[start : start + STAMP_LENGTH], "big") * 1e-6
         position = start + 1
-        if last is None or abs(stamp - last[0]) < LONGEST_PAUSE:
+        if last is None or abs(stamp - last[0]) < LONGEST_RECORDING_S:
             if last is not None:
                 yield last[0], data[last[1] : start]
             position = start + STAMP_LENGTH

@@ -21,17 +21,32 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.arguments import page
 from swarmtrack.autopilot.contact import Contact, News, heartbeat
-from swarmtrack.autopilot.engagement import CURRENT_MODE_HZ, PilotEngagement
+from swarmtrack.autopilot.engagement import PilotEngagement
 from swarmtrack.autopilot.flight import FlightWatch
-from swarmtrack.autopilot.framer import FAST_CRC, FLUSH_AFTER, Framer, MavlinkFrame
+from swarmtrack.autopilot.framer import FAST_CRC, Framer, MavlinkFrame
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelays
-from swarmtrack.autopilot.link_state import LOST_AFTER, LinkState, State
+from swarmtrack.autopilot.limits import (
+    AGENT_HEARTBEAT_PERIOD_S,
+    AUTOPILOT_LOST_AFTER_S,
+    CURRENT_MODE_HZ,
+    EARLY_FRAMES_KEPT,
+    FASTEST_IMU_HZ,
+    FIRST_RETRY_S,
+    FRAME_FLUSH_AFTER_S,
+    LINE_SHARE,
+    LINK_TICK_S,
+    LONGEST_RETRY_S,
+    NAMED_SOURCES,
+    PILOT_SWITCH_HZ,
+    TCP_SILENT_S,
+)
+from swarmtrack.autopilot.link_state import LinkState, State
 from swarmtrack.autopilot.links import Link, LinkDown, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
-from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, REPORTS_HZ, PilotSwitch
+from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.signing import Codec, read_key
-from swarmtrack.autopilot.streams import GLOBAL_POSE, LINE_SHARE, LOCAL_POSE, Answer, StreamRequests
+from swarmtrack.autopilot.streams import GLOBAL_POSE, LOCAL_POSE, Answer, StreamRequests
 from swarmtrack.autopilot.telemetry import Telemetry
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
@@ -42,19 +57,12 @@ from swarmtrack.sources import AutopilotListener
 log = logging.getLogger(__name__)
 
 AUTOPILOT: int = common.MAV_COMP_ID_AUTOPILOT1
-HEARTBEAT_EVERY = 1.0  # s: also what makes routers learn us
-TICK = 0.05  # s
-SILENT_TCP = 5.0  # s without a byte: the other end went without saying so
-RETRY_FIRST, RETRY_LAST = 0.5, 5.0  # s between attempts to connect, doubling
-FASTEST_IMU = 8000.0  # Hz: what the sensors themselves reach
-EARLY_FRAMES = 1000  # kept until a heartbeat tells whose they are: more than a second of a fast link
-NAMED_SOURCES = 8  # other systems remembered by name
 
 
 def _check(imu_rate_hz: float, system_id: int | None) -> None:
-    if not 0.0 < imu_rate_hz <= FASTEST_IMU:
+    if not 0.0 < imu_rate_hz <= FASTEST_IMU_HZ:
         raise SourceError(
-            f"autopilot imu_rate_hz: found {imu_rate_hz:g}, expected more than 0, at most {FASTEST_IMU:g}"
+            f"autopilot imu_rate_hz: found {imu_rate_hz:g}, expected more than 0, at most {FASTEST_IMU_HZ:g}"
         )
     if system_id is not None and not 1 <= system_id <= 255:
         raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
@@ -64,7 +72,7 @@ def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
     """Hz by message, beside gyro and attitude: of places, of the transmitter's channels, of the mode."""
     rates = dict(GLOBAL_POSE if by_gps else LOCAL_POSE)
     if channels:
-        rates[RC_CHANNELS] = REPORTS_HZ
+        rates[RC_CHANNELS] = PILOT_SWITCH_HZ
     if mode:
         rates[CURRENT_MODE] = CURRENT_MODE_HZ
     return rates
@@ -158,7 +166,7 @@ class MavlinkAutopilot:
             self._readers[CURRENT_MODE] = engagement.on_current_mode
             self._readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
         self._parameters: ParameterReader | None = None
-        self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES)
+        self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
         self._next_heartbeat = self._next_tick = -math.inf
         self._greeted = False
 
@@ -196,43 +204,43 @@ class MavlinkAutopilot:
             tasks.create_task(self._keep_ticking(), name="mavlink tick")
 
     async def _keep_connected(self) -> None:
-        delay = RETRY_FIRST
+        delay = FIRST_RETRY_S
         while True:
             try:
                 await self._link.run(self)
             except LinkDown as down:
                 self._contact.down = str(down)
             if self._contact.bytes:
-                delay = RETRY_FIRST
+                delay = FIRST_RETRY_S
             self._contact.bytes = 0
             await asyncio.sleep(delay)
-            delay = min(2 * delay, RETRY_LAST)
+            delay = min(2 * delay, LONGEST_RETRY_S)
             self._contact.reconnects += 1
 
     async def _keep_ticking(self) -> None:
         while True:
             self.tick(self._clock.now())
-            await asyncio.sleep(TICK)
+            await asyncio.sleep(LINK_TICK_S)
 
     def tick(self, now: float) -> None:
         """What time alone brings about: silence, heartbeats, requests that were not answered."""
         contact = self._contact
-        if self._framer.pending and now - contact.received_at > FLUSH_AFTER:
+        if self._framer.pending and now - contact.received_at > FRAME_FLUSH_AFTER_S:
             self._take(now, self._framer.flush())
         if contact.down is None and not self._link.recording:
             self._speak(now)
             silent = now - max(contact.opened_at, contact.received_at)
-            if self._link.address.scheme == "tcp" and silent > SILENT_TCP:
-                self._link.drop(f"silent for {SILENT_TCP:g} s")
+            if self._link.address.scheme == "tcp" and silent > TCP_SILENT_S:
+                self._link.drop(f"silent for {TCP_SILENT_S:g} s")
         self._telemetry.measure(now)
         self._link_state.judge(now)
 
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:
-            self._next_heartbeat = now + HEARTBEAT_EVERY
+            self._next_heartbeat = now + AGENT_HEARTBEAT_PERIOD_S
             self._send(heartbeat(common.MAV_TYPE_ONBOARD_CONTROLLER))
         contact = self._contact
-        if contact.system is None or now - contact.heard_at > LOST_AFTER:
+        if contact.system is None or now - contact.heard_at > AUTOPILOT_LOST_AFTER_S:
             return
         asked = self._requests.tick(now, contact.system) + self._gyro_delays.tick(now, contact.system)
         if self._parameters is not None:
@@ -298,7 +306,7 @@ class MavlinkAutopilot:
     def _is_deaf(self) -> bool:
         contact = self._contact
         deaf = contact.system is None or contact.down is not None or self._link.recording
-        return deaf or self._now() - contact.heard_at > LOST_AFTER
+        return deaf or self._now() - contact.heard_at > AUTOPILOT_LOST_AFTER_S
 
     # ── Receiver: called by the link ─────────────────────────────────────────────────────────────────────────────
 
@@ -322,7 +330,7 @@ class MavlinkAutopilot:
         frames = self._framer.datagram(data) if self._link.datagrams else self._framer.feed(data)
         ours = self._take(t, frames)
         if self._link.recording and t >= self._next_tick:
-            self._next_tick = t + TICK
+            self._next_tick = t + LINK_TICK_S
             self.tick(t)
         return ours
 

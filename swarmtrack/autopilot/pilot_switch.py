@@ -11,14 +11,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.limits import (
+    CHANNEL_FORGOTTEN_AFTER_S,
+    CHANNEL_TREMBLES_US,
+    LONGEST_CHANNEL_US,
+    SHORTEST_CHANNEL_US,
+)
+
 RC_CHANNELS: int = common.MAVLINK_MSG_ID_RC_CHANNELS
-REPORTS_HZ = 5.0
-# µs: no receiver says less or more. A channel that there is not is 0 on ArduPilot and 65535 on PX4.
-SHORTEST_US, LONGEST_US = 800, 2200
-# s: who was silent for longer is heard of for the first time.
-FORGOTTEN_AFTER = 2.0
-# µs below the threshold: a channel that trembles there is thrown once.
-TREMBLES_US = 50
 
 
 class PilotSwitch:
@@ -34,16 +34,16 @@ class PilotSwitch:
     def on_channels(self, t: float, m: Any) -> bool:
         """RC_CHANNELS has come at t [s]; whether the switch has been thrown since the last one."""
         level = getattr(m, self._field)
-        if not SHORTEST_US <= level <= LONGEST_US:
+        if not SHORTEST_CHANNEL_US <= level <= LONGEST_CHANNEL_US:
             return False
-        before = self._on if t - self._heard_at < FORGOTTEN_AFTER else None
+        before = self._on if t - self._heard_at < CHANNEL_FORGOTTEN_AFTER_S else None
         self._heard_at = t
-        self._on = level > self._above_us - (TREMBLES_US if before else 0)
+        self._on = level > self._above_us - (CHANNEL_TREMBLES_US if before else 0)
         return self._on and before is False
 
     def is_heard(self, now: float) -> bool:
         """Whether anybody knows where it stands."""
-        return now - self._heard_at < FORGOTTEN_AFTER
+        return now - self._heard_at < CHANNEL_FORGOTTEN_AFTER_S
 
     def is_on(self, now: float) -> bool:
         return self.is_heard(now) and bool(self._on)

@@ -23,26 +23,28 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.framer import CRC_LENGTH, HEADER_V2, PAYLOAD_SIZE, SIGNATURE_LENGTH
+from swarmtrack.autopilot.limits import (
+    ATTITUDE_HZ,
+    COMMAND_ACK_TIMEOUT_S,
+    COMMAND_ATTEMPTS,
+    DENIED_RATE_FACTOR,
+    GLOBAL_POSITION_HZ,
+    GPS_FIX_HZ,
+    LINE_SHARE,
+    LOCAL_POSITION_HZ,
+    LOWEST_STREAM_HZ,
+    MISSED_RATE_FACTOR,
+    RANGE_FINDER_HZ,
+    STREAM_ASKED_AGAIN_S,
+    STREAM_LONGEST_ASKED_AGAIN_S,
+    STREAM_RATE_SHARE,
+    STREAM_RATE_WINDOW_S,
+)
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS
 from swarmtrack.mavlink_dialect import CURRENT_MODE
 from swarmtrack.messages import Array
 
 STANDARD_GRAVITY = 9.80665  # m/s²: accelerations come in thousandths of it
-WINDOW = 2.0  # s over which a rate is measured
-ENOUGH = 0.8  # of the target; below it the stream is asked for again
-BACK_OFF = 0.8  # of a denied rate is asked for next
-DOUBLE = 2.0  # times the rate is asked for once, where it was granted and does not come
-LOWEST_RATE = 10.0  # Hz: denied below it, the message itself is not offered
-ACK_TIMEOUT = 1.0  # s: a busy link takes 0.2 s
-ATTEMPTS = 3  # unanswered ones, before the command counts as not understood
-AGAIN_AFTER = 4.0  # s before a slow stream is asked for again, doubling up to AGAIN_AT_MOST
-AGAIN_AT_MOST = 30.0
-ATTITUDE_RATE = 50.0  # Hz
-# Hz: carried on by its velocity in between, at 5 m/s² to 4 mm and to 25 mm.
-LOCAL_POSITION_RATE, GLOBAL_POSITION_RATE = 25.0, 10.0
-FIX_RATE = 5.0  # Hz: that of most receivers
-GROUND_RATE = 4.0  # Hz: of a range finder, where there is one
-LINE_SHARE = 0.7  # of what the line carries may be ours; the rest is for parameters and other programs
 
 NOT_MEASURED = np.full(3, np.nan)
 HIGHRES_IMU: int = common.MAVLINK_MSG_ID_HIGHRES_IMU
@@ -55,10 +57,10 @@ GPS_RAW_INT: int = common.MAVLINK_MSG_ID_GPS_RAW_INT
 DISTANCE_SENSOR: int = common.MAVLINK_MSG_ID_DISTANCE_SENSOR
 
 # Message and rate [Hz], beside the attitude.
-LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: LOCAL_POSITION_RATE}
-GLOBAL_POSE: dict[int, float] = {GLOBAL_POSITION_INT: GLOBAL_POSITION_RATE, GPS_RAW_INT: FIX_RATE}
+LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: LOCAL_POSITION_HZ}
+GLOBAL_POSE: dict[int, float] = {GLOBAL_POSITION_INT: GLOBAL_POSITION_HZ, GPS_RAW_INT: GPS_FIX_HZ}
 # What many drones do not have: it is asked for once, after all else.
-OPTIONAL: dict[int, float] = {DISTANCE_SENSOR: GROUND_RATE}
+OPTIONAL: dict[int, float] = {DISTANCE_SENSOR: RANGE_FINDER_HZ}
 # Asked for once, and missed by nobody; and in none of the groups by which old autopilots are asked.
 NOT_MISSED = frozenset({*OPTIONAL, CURRENT_MODE})
 
@@ -135,7 +137,7 @@ class MessageStream:
         self.answer = Answer.TO_ASK
         self.count = 0  # in the present window
         self.attempts = 0
-        self.again_after = AGAIN_AFTER
+        self.again_after = STREAM_ASKED_AGAIN_S
         self.answered_at: float | None = None
 
     def ask_again(self) -> None:
@@ -196,7 +198,7 @@ class StreamRequests:
 
     def _choose(self) -> None:
         rates = {self.imu.id: self.imu_rate_hz}
-        rates[ATTITUDE_QUATERNION] = max(ATTITUDE_RATE, rates.get(ATTITUDE_QUATERNION, 0.0))
+        rates[ATTITUDE_QUATERNION] = max(ATTITUDE_HZ, rates.get(ATTITUDE_QUATERNION, 0.0))
         rates |= self._positions | OPTIONAL
         self.streams = {i: MessageStream(i, rate) for i, rate in rates.items()}
         for i, granted in self._granted.items():
@@ -226,8 +228,8 @@ class StreamRequests:
     def tick(self, now: float, system: int) -> list[Any]:
         """Measure, and ask for what is missing."""
         self.measure(now)
-        if self._busy is not None and now - self._sent_at > ACK_TIMEOUT:
-            if self._busy.attempts >= ATTEMPTS:
+        if self._busy is not None and now - self._sent_at > COMMAND_ACK_TIMEOUT_S:
+            if self._busy.attempts >= COMMAND_ATTEMPTS:
                 self._busy.answer = Answer.SILENT
                 self._busy.answered_at = now
                 self.legacy = self.legacy or not self._busy.optional
@@ -241,13 +243,13 @@ class StreamRequests:
         if self._window_start is None:
             self._window_start = now
         elapsed = now - self._window_start
-        if elapsed < WINDOW:
+        if elapsed < STREAM_RATE_WINDOW_S:
             return
         self._window_start = now
         for stream in self.streams.values():
             stream.rate_hz, stream.count = stream.count / elapsed, 0
-            if stream.rate_hz >= ENOUGH * stream.target_hz:
-                stream.again_after, stream.came = AGAIN_AFTER, True
+            if stream.rate_hz >= STREAM_RATE_SHARE * stream.target_hz:
+                stream.again_after, stream.came = STREAM_ASKED_AGAIN_S, True
                 if stream.factor != 1.0:
                     self._factors[stream.id] = stream.factor
             elif (
@@ -257,7 +259,7 @@ class StreamRequests:
                 and (stream.came or not stream.optional)
             ):
                 if not self._try_double(stream):
-                    stream.again_after = min(2 * stream.again_after, AGAIN_AT_MOST)
+                    stream.again_after = min(2 * stream.again_after, STREAM_LONGEST_ASKED_AGAIN_S)
                 stream.ask_again()
         imu = self.imu_stream
         if (
@@ -282,7 +284,7 @@ class StreamRequests:
         if stream.factor != 1.0:
             self._factors[stream.id] = stream.factor = 1.0
             return True
-        stream.factor = DOUBLE
+        stream.factor = MISSED_RATE_FACTOR
         if self.line_share > LINE_SHARE:
             # The line would not carry it, and may be what is too slow.
             self._factors[stream.id] = stream.factor = 1.0
@@ -302,8 +304,8 @@ class StreamRequests:
         elif result == common.MAV_RESULT_DENIED and stream.factor != 1.0:
             self._factors[stream.id] = stream.factor = 1.0
             stream.ask_again()
-        elif result == common.MAV_RESULT_DENIED and BACK_OFF * stream.target_hz >= LOWEST_RATE:
-            stream.target_hz *= BACK_OFF
+        elif result == common.MAV_RESULT_DENIED and DENIED_RATE_FACTOR * stream.target_hz >= LOWEST_STREAM_HZ:
+            stream.target_hz *= DENIED_RATE_FACTOR
             self._granted[stream.id] = stream.target_hz
             stream.ask_again()
         else:
@@ -322,7 +324,7 @@ class StreamRequests:
         old = self.streams
         self._rank = (self._rank + 1) % len(IMU_MESSAGES)
         if self._rank == 0:
-            self._not_before = now + AGAIN_AFTER
+            self._not_before = now + STREAM_ASKED_AGAIN_S
         self._choose()
         for i, stream in old.items():
             if i in self.streams and self.streams[i].asked_hz == stream.asked_hz and self._rank:

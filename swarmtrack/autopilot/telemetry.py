@@ -13,6 +13,22 @@ from swarmtrack.autopilot.clock_map import ClockMap
 from swarmtrack.autopilot.contact import Contact, News
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
+from swarmtrack.autopilot.limits import (
+    DIVERGED_LOCAL_POSE,
+    FASTEST_GYRO_RAD_S,
+    GROUND_FRESH_S,
+    GROUND_LEAST_UPRIGHT_COSINE,
+    IMU_FORGOTTEN_AFTER_S,
+    IMU_PREFERRED_S,
+    IMU_RATE_WINDOW_S,
+    IMU_STALE_AFTER_S,
+    LOCAL_POSITION_AGE_S,
+    LOCAL_POSITION_SIGMA_M,
+    POSE_CLOCK_MISMATCH_S,
+    TIMESYNC_FIRST_EXCHANGES,
+    TIMESYNC_FIRST_PERIOD_S,
+    TIMESYNC_PERIOD_S,
+)
 from swarmtrack.autopilot.streams import (
     ATTITUDE_QUATERNION,
     DISTANCE_SENSOR,
@@ -33,22 +49,9 @@ from swarmtrack.geometry.rotation import from_quaternion
 from swarmtrack.messages import Array, EgoPose, ImuSample
 from swarmtrack.sources import AutopilotListener
 
-STALE_AFTER = 0.5  # s without an IMU sample, or three of its periods where it comes slower
-FORGOTTEN_AFTER = 3.0  # s without an IMU sample: its rate is counted anew
-PREFER = 2.0  # s a better source of angular velocity must be silent before a lesser one is used
-FASTEST_GYRO = 100.0  # rad/s: no sensor measures more; what claims it is corrupt
-FARTHEST = 1e6  # m from where the local frame began, and m/s: an estimator that says so has diverged
-LOCAL_SIGMA = 0.1  # m per axis, against where the local frame began
-POSITION_AGE = 0.5  # s that a position is carried on by its velocity
-POSE_MISMATCH = 5.0  # s between a pose's mapped time and its arrival: it is stamped by another clock
-TIMESYNC_EVERY = 1.0  # s
-TIMESYNC_FIRST, TIMESYNC_FIRST_EVERY = 10, 0.2  # the first exchanges come faster, so that sigma is soon known
 DOWNWARD = common.MAV_SENSOR_ROTATION_PITCH_270
 INVALID_SIGNAL = 1  # of a DISTANCE_SENSOR's quality; 0 is one that tells none
-FRESH_GROUND = 0.2  # s between what the range finder measured and the pose that it is told with
-LEAST_UPRIGHT = 0.8  # cosine of the tilt, 37°: beyond, it measures the ground beside the drone
 RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
-RATE_WINDOW = 2.0  # s over which the IMU's rate is counted
 
 
 class Telemetry:
@@ -161,7 +164,7 @@ class Telemetry:
 
     def measure(self, now: float) -> None:
         """Once per window: note the IMU's rate."""
-        if now - self._window_start >= RATE_WINDOW:
+        if now - self._window_start >= IMU_RATE_WINDOW_S:
             self.imu_rate_hz = self._window_count / (now - self._window_start)
             self._window_start, self._window_count = now, 0
             if self._imu_rank is not None:
@@ -178,7 +181,7 @@ class Telemetry:
         stamp = source.stamp(m)
         gyro, accel = source.read(m)
         # Of three numbers Python asks each faster than NumPy asks all. NaN fails this too.
-        if not all(abs(rate) < FASTEST_GYRO for rate in gyro.tolist()):
+        if not all(abs(rate) < FASTEST_GYRO_RAD_S for rate in gyro.tolist()):
             self._invalid += 1
             return
         step = self.cadence.observe(stamp)
@@ -188,7 +191,7 @@ class Telemetry:
             self._rebooted(stamp)
             self.cadence.observe(stamp)
         self._observe_clock(stamp, t)
-        if t - self.imu_at > FORGOTTEN_AFTER:
+        if t - self.imu_at > IMU_FORGOTTEN_AFTER_S:
             self.imu_rate_hz, self._window_start, self._window_count = 0.0, t, 0
         self.imu_at = t
         self._window_count += 1
@@ -208,7 +211,9 @@ class Telemetry:
         self._imu_seen[rank] = t
         better = max(self._imu_seen[:rank], default=-math.inf)
         asked = self._requests.imu is IMU_MESSAGES[rank]
-        if t - better < PREFER or (rank and not asked and t - self._contact.known_at < PREFER):
+        if t - better < IMU_PREFERRED_S or (
+            rank and not asked and t - self._contact.known_at < IMU_PREFERRED_S
+        ):
             return False
         if rank != self._imu_rank:
             if self._imu_rank is not None:
@@ -227,7 +232,9 @@ class Telemetry:
 
     def _on_local_position(self, t: float, m: Any) -> None:
         position, velocity = (m.x, m.y, m.z), (m.vx, m.vy, m.vz)
-        if not all(abs(number) < FARTHEST for number in position + velocity):  # NaN compares as False
+        if not all(
+            abs(number) < DIVERGED_LOCAL_POSE for number in position + velocity
+        ):  # NaN compares as False
             self._invalid += 1
             return
         self._position, self._placed_at = (m.time_boot_ms * 1e-3, np.array(position), np.array(velocity)), t
@@ -240,14 +247,14 @@ class Telemetry:
                 return
             self._rebooted(stamp)
         self._pose_stamp = stamp
-        if self.clock_map.offset is None or t - self.imu_at > STALE_AFTER:
+        if self.clock_map.offset is None or t - self.imu_at > IMU_STALE_AFTER_S:
             self._observe_clock(stamp, t)  # without an IMU, this is what tells the autopilot's time
         q = np.array((m.q1, m.q2, m.q3, m.q4))
         ours = self.clock_map.to_ours(stamp)
-        if not 0.9 < float(q @ q) < 1.1 or abs(ours - t) > POSE_MISMATCH:
+        if not 0.9 < float(q @ q) < 1.1 or abs(ours - t) > POSE_CLOCK_MISMATCH_S:
             self._invalid += 1
             return
-        if self._position is None or abs(stamp - self._position[0]) > POSITION_AGE:
+        if self._position is None or abs(stamp - self._position[0]) > LOCAL_POSITION_AGE_S:
             self._poses_without_position += 1
             where = None
         else:
@@ -255,7 +262,7 @@ class Telemetry:
             where = position + (stamp - at) * velocity
         self.poses += 1
         gps = self._gps
-        sigma, vertical = (LOCAL_SIGMA, None) if gps is None else (gps.sigma, gps.vertical_sigma)
+        sigma, vertical = (LOCAL_POSITION_SIGMA_M, None) if gps is None else (gps.sigma, gps.vertical_sigma)
         attitude = from_quaternion(q)
         ground = self._ground(t, float(attitude[2, 2]))
         self.listener.on_pose(
@@ -271,7 +278,7 @@ class Telemetry:
     def _ground(self, t: float, upright: float) -> float | None:
         """m straight down to what the range finder has measured since the last pose; upright: cosine of the tilt."""
         below, self._below = self._below, None
-        if below is None or t - below[0] > FRESH_GROUND or upright < LEAST_UPRIGHT:
+        if below is None or t - below[0] > GROUND_FRESH_S or upright < GROUND_LEAST_UPRIGHT_COSINE:
             return None
         return below[1] * upright
 
@@ -303,11 +310,11 @@ class Telemetry:
         """Once in a while."""
         if now < self._next_timesync:
             return
-        first = self._exchanges < TIMESYNC_FIRST
-        self._next_timesync = now + (TIMESYNC_FIRST_EVERY if first else TIMESYNC_EVERY)
+        first = self._exchanges < TIMESYNC_FIRST_EXCHANGES
+        self._next_timesync = now + (TIMESYNC_FIRST_PERIOD_S if first else TIMESYNC_PERIOD_S)
         ns = max(1, int(now * 1e9))  # 0 would make it an answer
         self._asked_time[ns] = now
-        while len(self._asked_time) > TIMESYNC_FIRST:
+        while len(self._asked_time) > TIMESYNC_FIRST_EXCHANGES:
             del self._asked_time[next(iter(self._asked_time))]
         self._send(common.MAVLink_timesync_message(tc1=0, ts1=ns))
 
@@ -318,7 +325,11 @@ class Telemetry:
         sent = self._asked_time.pop(m.ts1, None)
         stamp = m.tc1 * 1e-9
         # Some firmwares keep another clock for this than for their sensors.
-        if sent is None or self.cadence.newest is None or abs(stamp - self.cadence.newest) > POSE_MISMATCH:
+        if (
+            sent is None
+            or self.cadence.newest is None
+            or abs(stamp - self.cadence.newest) > POSE_CLOCK_MISMATCH_S
+        ):
             return
         self._exchanges += 1
         restarts = self.clock_map.restarts

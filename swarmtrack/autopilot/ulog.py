@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.limits import LONGEST_RECORDING_S, ULOG_POSES_HZ
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.messages import Array
@@ -25,8 +26,6 @@ journal = logging.getLogger(__name__)
 
 MAGIC = b"ULog\x01\x12\x35"
 DATAFLASH = b"\xa3\x95"  # ArduPilot's .bin
-LONGEST_S = 86_400.0  # s from a log's middle to its ends; what claims to be farther is no time of it
-POSES_HZ = 50.0
 UNKNOWN = 65535  # of a velocity, a course, a heading
 MAX_ACCURACY_MM = 2**32 - 1
 ARMED = 2  # vehicle_status.arming_state
@@ -143,7 +142,7 @@ def _utc_offset(gps: Columns | None) -> float | None:
 def _rows(columns: Columns, *names: str) -> Iterator[list[Any]]:
     """time [s since boot], then these columns, a row a sample; without those of damaged times."""
     times = np.asarray(columns["timestamp"], dtype=float) * 1e-6
-    sound = np.flatnonzero(np.abs(times - np.median(times)) < LONGEST_S)
+    sound = np.flatnonzero(np.abs(times - np.median(times)) < LONGEST_RECORDING_S)
     kept = [np.asarray(values)[sound].tolist() for values in (times, *(columns[name] for name in names))]
     return map(list, zip(*kept, strict=True))
 
@@ -151,7 +150,7 @@ def _rows(columns: Columns, *names: str) -> Iterator[list[Any]]:
 def _thinned(rows: Iterable[list[Any]]) -> Iterator[list[Any]]:
     last = -np.inf
     for row in rows:
-        if row[0] - last > 0.9 / POSES_HZ:
+        if row[0] - last > 0.9 / ULOG_POSES_HZ:
             last = row[0]
             yield row
 

@@ -6,10 +6,8 @@ import cv2
 import numpy as np
 
 from swarmtrack.camera_sources.frame_slot import BadImage
+from swarmtrack.camera_sources.limits import MAX_DECODED_PIXELS
 from swarmtrack.messages import Image
-
-# 33 megapixels: beyond any drone's camera; a JPEG of 2 kB may claim 65535 x 65535 and ask for 12 GB
-MAX_PIXELS = 1 << 25
 
 # "As the sensor saw it": grey stays grey, 16 bits become 8, and the EXIF orientation, which would turn the image
 # under its calibration, is ignored.
@@ -59,7 +57,7 @@ def decode_jpeg(data: bytes | memoryview, grey: bool = False) -> Image:
 def check_pixels(data: bytes) -> tuple[int, int]:
     """(width, height) of a JPEG; BadImage where no camera has so many."""
     width, height = jpeg_size(data)
-    if width * height > MAX_PIXELS:
+    if width * height > MAX_DECODED_PIXELS:
         raise BadImage(f"JPEG claims {width}x{height}")
     return width, height
 

@@ -30,15 +30,13 @@ import numpy as np
 
 from swarmtrack.camera_sources.address import CameraAddress, read_options, server_url
 from swarmtrack.camera_sources.http_stream import HttpStream, StreamEnded, StreamOptions
+from swarmtrack.camera_sources.limits import MAX_DETECTION_LINE_BYTES, MAX_STREAMED_DETECTIONS
 from swarmtrack.camera_sources.newest_slot import NewestSlot
 from swarmtrack.clock import Clock
 from swarmtrack.messages import Detections, LinkStatus
 
 if TYPE_CHECKING:
     import aiohttp
-
-MAX_LINE = 64 << 10  # bytes
-MAX_DETECTIONS = 64  # of one frame, the best are kept: as many as our own detector gives
 
 
 class BadLine(Exception):
@@ -119,7 +117,7 @@ class DetectionStream:
 
 
 class LineReader:
-    """Cuts bytes into lines of at most MAX_LINE. No I/O; empty lines are left out."""
+    """Cuts bytes into lines of at most MAX_DETECTION_LINE_BYTES. No I/O; empty lines are left out."""
 
     def __init__(self) -> None:
         self._rest = bytearray()
@@ -133,14 +131,14 @@ class LineReader:
             line, self._rest = bytes(self._rest) + end, bytearray()
             if self._skipping:
                 self._skipping = False
-            elif len(line) > MAX_LINE:
+            elif len(line) > MAX_DETECTION_LINE_BYTES:
                 lines.append(None)
             elif line.strip():
                 lines.append(line)
         if self._skipping:
             return lines
         self._rest += rest
-        if len(self._rest) > MAX_LINE:
+        if len(self._rest) > MAX_DETECTION_LINE_BYTES:
             self._rest.clear()
             self._skipping = True
             lines.append(None)
@@ -150,7 +148,7 @@ class LineReader:
 def parse_line(line: bytes | None) -> StreamLine:
     """A line that can be trusted: finite numbers, sizes from 0, scores in 0 … 1. Raises BadLine."""
     if line is None:
-        raise BadLine(f"longer than {MAX_LINE} bytes")
+        raise BadLine(f"longer than {MAX_DETECTION_LINE_BYTES} bytes")
     try:
         sent = _DECODER.decode(line)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
@@ -163,6 +161,6 @@ def parse_line(line: bytes | None) -> StreamLine:
 
 
 def _as_detections(sent: StreamLine, t: float, sequence: int) -> Detections:
-    best = sorted(sent.detections, key=lambda detection: -detection[4])[:MAX_DETECTIONS]
+    best = sorted(sent.detections, key=lambda detection: -detection[4])[:MAX_STREAMED_DETECTIONS]
     table = np.array(best, dtype=float).reshape(-1, 5)
     return Detections(t, sequence, centre=table[:, :2], size=table[:, 2:4], score=table[:, 4])

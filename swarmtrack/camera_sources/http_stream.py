@@ -16,17 +16,21 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from swarmtrack.camera_sources.address import in_range
-from swarmtrack.camera_sources.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, NewestSlot, start, stop
+from swarmtrack.camera_sources.limits import (
+    CAMERA_FIRST_BACKOFF_S,
+    CAMERA_LONGEST_BACKOFF_S,
+    HTTP_MONOTONIC_SIGMA_S,
+    HTTP_STAMP_FUTURE_S,
+    HTTP_STAMP_WINDOW_S,
+    HTTP_UTC_SIGMA_S,
+)
+from swarmtrack.camera_sources.newest_slot import NewestSlot, start, stop
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus, StampKind
 
 if TYPE_CHECKING:
     import aiohttp
 
-STAMP_WINDOW = 2.0  # s: a stamp further from a clock is not of that clock, and no tracker looks back so far
-FUTURE = 0.005  # s: a stamp this much after the arrival shows that the two clocks disagree
-MONOTONIC_SIGMA = 1e-3  # s
-UTC_SIGMA = 5e-3  # s: two machines synchronised over a radio link
 HINTS = {401: ": give user and password, http://USER:PASSWORD@HOST/…", 404: ": check the path"}
 
 
@@ -94,7 +98,7 @@ class HttpStream:
         # Here, not above: 20 MB and 0.2 s that only such a camera needs.
         import aiohttp  # noqa: PLC0415
 
-        backoff = BACKOFF_FIRST
+        backoff = CAMERA_FIRST_BACKOFF_S
         timeout = aiohttp.ClientTimeout(
             total=None, sock_connect=self._options.timeout_s, sock_read=self._options.timeout_s
         )
@@ -120,17 +124,17 @@ class HttpStream:
                     reason = f"lost: {error}"
                 self._slot.source.say(False, f"{reason}; trying again")
                 if self.received > received:
-                    backoff = BACKOFF_FIRST
+                    backoff = CAMERA_FIRST_BACKOFF_S
                 await asyncio.sleep(backoff)
-                backoff = min(2 * backoff, BACKOFF_LONGEST)
+                backoff = min(2 * backoff, CAMERA_LONGEST_BACKOFF_S)
 
     def exposure(self, stamp: float | None, arrived: float) -> Exposure:
         """stamp [s]: what the stream says, NaN for what is no number, None for nothing; arrived: on our clock."""
         if stamp is not None:
             now = self._clock.now()
-            for clock_now, sigma in ((now, MONOTONIC_SIGMA), (self._clock.utc(), UTC_SIGMA)):
+            for clock_now, sigma in ((now, HTTP_MONOTONIC_SIGMA_S), (self._clock.utc(), HTTP_UTC_SIGMA_S)):
                 t = now + stamp - clock_now
-                if abs(t - now) < STAMP_WINDOW and t < arrived + FUTURE:
+                if abs(t - now) < HTTP_STAMP_WINDOW_S and t < arrived + HTTP_STAMP_FUTURE_S:
                     return Exposure(StampKind.EXPOSURE, t, sigma)
             self.bad_stamps += 1
         options = self._options

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-MAX_PART = 16 << 20  # bytes
-MAX_HEADER = 16 << 10  # bytes
+from swarmtrack.camera_sources.limits import MAX_PART_BYTES, MAX_PART_HEADER_BYTES
+
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 
 
@@ -23,7 +23,7 @@ class Part:
 
 
 class MultipartReader:
-    """garbage: bytes that belonged to no part; oversized: parts beyond MAX_PART, thrown away."""
+    """garbage: bytes that belonged to no part; oversized: parts beyond MAX_PART_BYTES, thrown away."""
 
     def __init__(self, boundary: str) -> None:
         # Many cameras announce "--name" and send "--name", where the standard says "----name": look for either.
@@ -78,7 +78,9 @@ class MultipartReader:
         ]
         end, blank_length = min(ends, default=(len(self._buffer), 0))
         again = self._buffer.find(self._delimiter, start, end)
-        if again >= 0 or (not ends and end > MAX_HEADER):  # cut off inside a header, or none at all
+        if again >= 0 or (
+            not ends and end > MAX_PART_HEADER_BYTES
+        ):  # cut off inside a header, or none at all
             skip = again if again >= 0 else start
             self.garbage += skip
             self._drop(skip)
@@ -99,7 +101,7 @@ class MultipartReader:
         # With the line feed before it: a short boundary alone does occur by chance in a JPEG.
         cut = self._buffer.find(b"\n" + self._delimiter, max(0, self._searched - len(self._delimiter)))
         self._searched = len(self._buffer)
-        if length > MAX_PART:
+        if length > MAX_PART_BYTES:
             pass
         elif length and len(self._buffer) >= length and not 0 <= cut < length:
             return self._part(headers, length)
@@ -108,7 +110,7 @@ class MultipartReader:
         elif not length and self._ends_as_jpeg():
             # The delimiter comes only with the next image: waiting for it would cost a whole period.
             return self._part(headers, len(self._buffer))
-        if length > MAX_PART or len(self._buffer) > MAX_PART:
+        if length > MAX_PART_BYTES or len(self._buffer) > MAX_PART_BYTES:
             self.oversized += 1
             self._headers = None
         return None

@@ -10,11 +10,9 @@ import asyncio
 from collections.abc import Callable, Coroutine
 from typing import Any, Generic, TypeVar
 
+from swarmtrack.camera_sources.limits import CAMERA_CLOSE_TIMEOUT_S
 from swarmtrack.camera_sources.source_status import SourceStatus
 from swarmtrack.clock import Clock
-
-BACKOFF_FIRST, BACKOFF_LONGEST = 0.5, 5.0  # s between two attempts to open a camera that is away
-CLOSE_TIMEOUT = 0.8  # s: a read in progress ends by its own timeout, which may be longer than anybody waits
 
 T = TypeVar("T")
 
@@ -91,9 +89,9 @@ def start(run: Callable[[], Coroutine[Any, Any, None]], slot: NewestSlot[Any]) -
 
 
 async def stop(task: asyncio.Task[None] | None, slot: NewestSlot[Any]) -> None:
-    """End a producer and the iteration of its consumer; returns within CLOSE_TIMEOUT, come what may."""
+    """End a producer and the iteration of its consumer; returns within CAMERA_CLOSE_TIMEOUT_S, come what may."""
     slot.clear()
     slot.end()
     if task is not None and not task.done():
         task.cancel()
-        await asyncio.wait([task], timeout=CLOSE_TIMEOUT)
+        await asyncio.wait([task], timeout=CAMERA_CLOSE_TIMEOUT_S)

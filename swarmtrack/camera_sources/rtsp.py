@@ -20,13 +20,11 @@ import numpy as np
 from swarmtrack.camera_sources.address import CameraAddress, read_options, server_url
 from swarmtrack.camera_sources.frame_slot import FrameSlot, RawFrame, already
 from swarmtrack.camera_sources.http_stream import NetworkOptions
-from swarmtrack.camera_sources.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST
+from swarmtrack.camera_sources.limits import CAMERA_FIRST_BACKOFF_S, CAMERA_LONGEST_BACKOFF_S, RTSP_PORT
 from swarmtrack.camera_sources.thread_camera import ThreadCamera
 from swarmtrack.camera_sources.video import open_video
 from swarmtrack.clock import Clock
 from swarmtrack.messages import StampKind
-
-DEFAULT_PORT = 554
 
 
 class RtspCamera(ThreadCamera):
@@ -55,7 +53,7 @@ class RtspCamera(ThreadCamera):
                 tell(self._slot.end, bug)
 
     def _keep_streaming(self, tell: Callable[..., None]) -> None:
-        backoff = BACKOFF_FIRST
+        backoff = CAMERA_FIRST_BACKOFF_S
         sequence = 0
         while not self._stop.is_set():
             capture, problem = self._open()
@@ -66,14 +64,14 @@ class RtspCamera(ThreadCamera):
                     tell(self._count_reconnect)
                 before, sequence = sequence, self._stream(capture, sequence, tell)
                 if sequence > before:
-                    backoff = BACKOFF_FIRST
+                    backoff = CAMERA_FIRST_BACKOFF_S
             self._stop.wait(backoff)
-            backoff = min(2 * backoff, BACKOFF_LONGEST)
+            backoff = min(2 * backoff, CAMERA_LONGEST_BACKOFF_S)
 
     def _open(self) -> tuple[cv2.VideoCapture | None, str]:
         """The opened stream, or None and why not."""
         parts = urlsplit(self._url)
-        where = (parts.hostname or "", parts.port or DEFAULT_PORT)
+        where = (parts.hostname or "", parts.port or RTSP_PORT)
         # OpenCV says only that it failed. Whether the machine is there at all can be asked first.
         try:
             socket.create_connection(where, timeout=self._options.timeout_s).close()

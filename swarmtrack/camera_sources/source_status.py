@@ -8,13 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarmtrack.camera_sources.limits import CAMERA_RATE_WINDOW_S
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
 from swarmtrack.plain_text import plain
 
 log = logging.getLogger(__name__)
-
-RATE_WINDOW = 2.0  # s over which rates are counted
 
 
 @dataclass(slots=True)
@@ -99,11 +98,11 @@ class SourceStatus:
 
 
 def _rate(times: deque[float], now: float) -> float:
-    """Events a second over the last RATE_WINDOW; before it has passed, over the time since the first event."""
-    recent = [t for t in times if t > now - RATE_WINDOW]
+    """Events a second over the last CAMERA_RATE_WINDOW_S; before it has passed, over the time since the first event."""
+    recent = [t for t in times if t > now - CAMERA_RATE_WINDOW_S]
     if len(recent) < 2:
         return 0.0
     if len(recent) == len(times):
         span = recent[-1] - recent[0]
         return (len(recent) - 1) / span if span > 0 else 0.0
-    return len(recent) / RATE_WINDOW
+    return len(recent) / CAMERA_RATE_WINDOW_S

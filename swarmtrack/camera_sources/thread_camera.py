@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import AsyncIterator
 
 from swarmtrack.camera_sources.frame_slot import FrameSlot
-from swarmtrack.camera_sources.newest_slot import CLOSE_TIMEOUT
+from swarmtrack.camera_sources.limits import CAMERA_CLOSE_TIMEOUT_S
 from swarmtrack.messages import Frame, LinkStatus
 
 
@@ -43,4 +43,4 @@ class ThreadCamera(ABC):
         self._slot.clear()
         self._slot.end()
         if self._thread is not None:
-            await asyncio.to_thread(self._thread.join, CLOSE_TIMEOUT)
+            await asyncio.to_thread(self._thread.join, CAMERA_CLOSE_TIMEOUT_S)

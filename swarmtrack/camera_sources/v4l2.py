@@ -35,7 +35,17 @@ from swarmtrack.camera_sources import v4l2_abi as abi
 from swarmtrack.camera_sources.address import CameraAddress, in_range, read_options
 from swarmtrack.camera_sources.decode import decode_grey, decode_jpeg, decode_yuyv
 from swarmtrack.camera_sources.frame_slot import BadImage, FrameSlot, Freshness, RawFrame
-from swarmtrack.camera_sources.newest_slot import BACKOFF_FIRST, BACKOFF_LONGEST, start, stop
+from swarmtrack.camera_sources.limits import (
+    CAMERA_FIRST_BACKOFF_S,
+    CAMERA_LONGEST_BACKOFF_S,
+    CAMERA_REOPEN_AFTER_S,
+    CAMERA_SILENT_AT_LEAST_S,
+    CAMERA_SILENT_PERIODS,
+    DEFAULT_FRAME_PERIOD_S,
+    KERNEL_STAMP_SIGMA_S,
+    PLAUSIBLE_STAMP_AGE_S,
+)
+from swarmtrack.camera_sources.newest_slot import start, stop
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
@@ -43,12 +53,6 @@ from swarmtrack.plain_text import plain
 
 FORMATS = ("GREY", "YUYV", "MJPG")  # what we decode, best first: the first two need no decompression
 LIBCAMERA_DRIVERS = ("unicam", "rp1-cfe")
-
-KERNEL_STAMP_SIGMA = 1e-3  # s: the kernel stamps when it handles the first packet or interrupt of a frame
-PLAUSIBLE_AGE = (-0.1, 60.0)  # s: a stamp outside is of another clock, whatever its flags say
-SILENT_PERIODS, SILENT_AT_LEAST = 10, 0.5  # periods and s without a frame until it is said
-REOPEN_AFTER = 3.0  # s of silence: many USB cameras recover only so; the first frame may take them two
-DEFAULT_PERIOD = 1 / 30  # s, where the driver does not tell
 
 
 class CameraUnavailable(Exception):
@@ -120,7 +124,7 @@ class V4l2Camera:
         await stop(self._task, self._slot)
 
     async def _run(self) -> None:
-        backoff = BACKOFF_FIRST
+        backoff = CAMERA_FIRST_BACKOFF_S
         sequence = -1
         opened_before = False
         while True:
@@ -135,9 +139,9 @@ class V4l2Camera:
                 self._slot.source.say(False, await stream.run())
                 sequence = stream.sequence
                 if stream.received:
-                    backoff = BACKOFF_FIRST
+                    backoff = CAMERA_FIRST_BACKOFF_S
             await asyncio.sleep(backoff)
-            backoff = min(2 * backoff, BACKOFF_LONGEST)
+            backoff = min(2 * backoff, CAMERA_LONGEST_BACKOFF_S)
 
     async def _open(self) -> Capture:
         # In a thread: waking a USB camera takes from 10 ms to seconds.
@@ -189,14 +193,14 @@ class CaptureSession:
     async def _watch(self) -> str:
         """Wait for the loss of the device, and say when it falls silent."""
         silent_for = 0.0
-        patience = max(SILENT_PERIODS * self._capture.period, SILENT_AT_LEAST)
+        patience = max(CAMERA_SILENT_PERIODS * self._capture.period, CAMERA_SILENT_AT_LEAST_S)
         while True:
             received = self.received
             await asyncio.wait([self._lost], timeout=patience)
             if self._lost.done():
                 return self._lost.result()
             silent_for = 0.0 if self.received > received else silent_for + patience
-            if silent_for > max(REOPEN_AFTER, patience):
+            if silent_for > max(CAMERA_REOPEN_AFTER_S, patience):
                 return f"no frame for {silent_for:.1f} s; opening it again"
             if silent_for and self._flowing:
                 self._flowing = False
@@ -276,10 +280,10 @@ def exposure_time(
     """(kind of stamp, middle of the exposure [s], its sigma [s]) of a dequeued buffer."""
     t = buffer.timestamp.tv_sec + 1e-6 * buffer.timestamp.tv_usec
     monotonic = buffer.flags & abi.BUF_FLAG_TIMESTAMP_MASK == abi.BUF_FLAG_TIMESTAMP_MONOTONIC
-    if not monotonic or not PLAUSIBLE_AGE[0] < now - t < PLAUSIBLE_AGE[1]:
+    if not monotonic or not PLAUSIBLE_STAMP_AGE_S[0] < now - t < PLAUSIBLE_STAMP_AGE_S[1]:
         return StampKind.ARRIVAL, now, period
     half_exposure = 0.5e-6 * exposure_us if exposure_us is not None else 0.0
-    sigma = KERNEL_STAMP_SIGMA
+    sigma = KERNEL_STAMP_SIGMA_S
     if exposure_us is None:
         # It lies anywhere between none and a period, its middle between none and half of one.
         sigma = math.hypot(sigma, period / 2 / 12**0.5)
@@ -492,10 +496,10 @@ def _set_rate(fd: int, fps: float | None) -> float:
             request.parm.capture.timeperframe.denominator = period.denominator
             fcntl.ioctl(fd, abi.VIDIOC_S_PARM, request)
     except OSError:
-        return DEFAULT_PERIOD  # the call is optional; frames will tell
+        return DEFAULT_FRAME_PERIOD_S  # the call is optional; frames will tell
     fraction = request.parm.capture.timeperframe
     if not fraction.numerator or not fraction.denominator:
-        return DEFAULT_PERIOD
+        return DEFAULT_FRAME_PERIOD_S
     return float(min(max(fraction.numerator / fraction.denominator, 1e-3), 10.0))
 
 

@@ -11,15 +11,13 @@ import cv2
 import numpy as np
 
 from swarmtrack.camera_sources.address import CameraAddress, in_range, nearest, read_options
+from swarmtrack.camera_sources.limits import DEFAULT_VIDEO_HZ, LONGEST_VIDEO_PAUSE_S
 from swarmtrack.camera_sources.playback import PACES, Picture, PlaybackCamera, play
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 
 # FFmpeg writes its complaints to stderr, before the sentence that we say. Read once, at OpenCV's first use of it.
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-
-DEFAULT_FPS = 30.0  # where a file does not tell
-LONGEST_PAUSE = 10.0  # s between two frames; more is a damaged time, for which nobody wants to wait
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +74,7 @@ class VideoFile:
             self.announced = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
         finally:
             capture.release()
-        self.period = 1 / (fps or (file_fps if 0.01 <= file_fps <= 1000 else DEFAULT_FPS))
+        self.period = 1 / (fps or (file_fps if 0.01 <= file_fps <= 1000 else DEFAULT_VIDEO_HZ))
 
     def play(self) -> Iterator[Picture]:
         capture = open_video(str(self._path))
@@ -90,7 +88,7 @@ class VideoFile:
                 if sequence == 0:
                     origin = media
                 # Damaged files have times that stand still or jump. Time does not.
-                trusted = self._fps is None and last < media - origin < last + LONGEST_PAUSE
+                trusted = self._fps is None and last < media - origin < last + LONGEST_VIDEO_PAUSE_S
                 last = media - origin if trusted else last + self.period
                 yield Picture(last, sequence, np.asarray(image, np.uint8))
                 sequence += 1

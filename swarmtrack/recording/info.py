@@ -6,11 +6,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from swarmtrack.recording.limits import RATE_LEAST_MESSAGES
 from swarmtrack.recording.reader import Message, Recording
 
 HEAD = ("kind", "drone_id", "team", "boot", "tracker", "swarmtrack", "python", "numpy", "scipy", "machine")
-
-LEAST = 5  # messages, of which a rate is told
 
 
 @dataclass(slots=True)
@@ -38,7 +37,7 @@ class TopicSummary:
     @property
     def rate_hz(self) -> float | None:
         span = (self.last_ns - self.first_ns) * 1e-9
-        return (self.count - 1) / span if self.count >= LEAST and span > 0.0 else None
+        return (self.count - 1) / span if self.count >= RATE_LEAST_MESSAGES and span > 0.0 else None
 
 
 @dataclass(slots=True)

@@ -21,8 +21,8 @@ import msgspec
 from mcap.writer import Writer
 
 from swarmtrack.errors import RecordingError
+from swarmtrack.recording.limits import CHUNK_BYTES
 from swarmtrack.recording.reader import Message, Recording
-from swarmtrack.recording.writer import CHUNK_BYTES
 
 SAID_TOPIC, SIGHTINGS_TOPIC = "/said", "/peers/sightings"
 

@@ -20,8 +20,14 @@ from mcap.records import Attachment, Channel, Schema
 
 from swarmtrack.errors import RecordingError
 from swarmtrack.plain_text import plain
+from swarmtrack.recording.limits import (
+    LARGEST_NOTES_BYTES,
+    LARGEST_RECORD_BYTES,
+    MOST_DECLARED_CHANNELS,
+    MOST_NOTES,
+    READ_AHEAD_BYTES,
+)
 from swarmtrack.recording.records import (
-    LARGEST_RECORD,
     check_end,
     read_attachment,
     read_channel,
@@ -33,11 +39,6 @@ from swarmtrack.recording.writer import ACTIVE, PREFACE, SUFFIX
 
 MAGIC = b"\x89MCAP0\r\n"
 FORMAT = "1"
-READ_AHEAD = 1 << 20  # bytes: of a file, which is read from one end to the other
-# Of one file: our largest swarms declare some hundreds.
-MOST_DECLARED = 20_000  # schemas and channels, the same one again included
-MOST_NOTES = 64  # metadata and attachments
-LARGEST_NOTES = 32 << 20  # bytes of all of them
 FLIGHT_PLAN = "flight_plan.json"  # attached to the recording of a simulated flight
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
@@ -77,7 +78,7 @@ class Segment:
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
         """In the order of writing, of these topics (None: of all). Raises RecordingError for what is no MCAP file."""
         try:
-            file: IO[bytes] = self.path.open("rb", buffering=READ_AHEAD)
+            file: IO[bytes] = self.path.open("rb", buffering=READ_AHEAD_BYTES)
         except OSError as error:
             raise RecordingError(f"{self.path}: {error.strerror}, expected a recording") from error
         with file:
@@ -95,7 +96,7 @@ class Segment:
                 self.damage = f"is cut off after {at} bytes"
                 return
             opcode, length = _HEAD.unpack(head)
-            if length > LARGEST_RECORD:
+            if length > LARGEST_RECORD_BYTES:
                 self.damage = f"has no record at byte {at}"
                 return
             body = file.read(length)
@@ -150,8 +151,8 @@ class Segment:
         """Take in what explains the messages."""
         if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             self._declared += 1
-            if self._declared > MOST_DECLARED:
-                raise ValueError(f"more than {MOST_DECLARED} schemas and channels")
+            if self._declared > MOST_DECLARED_CHANNELS:
+                raise ValueError(f"more than {MOST_DECLARED_CHANNELS} schemas and channels")
             if opcode == Opcode.SCHEMA:
                 schema = read_schema(body)
                 self.schemas[schema.id] = schema
@@ -160,8 +161,8 @@ class Segment:
                 self.channels[channel.id] = channel
         elif opcode in (Opcode.METADATA, Opcode.ATTACHMENT):
             self._noted += len(body)
-            if self._noted > LARGEST_NOTES or len(self.metadata) + len(self.attachments) >= MOST_NOTES:
-                raise ValueError(f"more than {MOST_NOTES} notes, or {LARGEST_NOTES} bytes of them")
+            if self._noted > LARGEST_NOTES_BYTES or len(self.metadata) + len(self.attachments) >= MOST_NOTES:
+                raise ValueError(f"more than {MOST_NOTES} notes, or {LARGEST_NOTES_BYTES} bytes of them")
             if opcode == Opcode.METADATA:
                 metadata = read_metadata(body)
                 self.metadata[metadata.name] = metadata.metadata

@@ -14,12 +14,12 @@ import zstandard
 from mcap.records import Attachment, Channel, Metadata, Schema
 
 from swarmtrack.plain_text import LONGEST_OF_SEVERAL, plain
-
-LARGEST_RECORD = 32 << 20  # bytes: a length beyond it is no length but garbage
-LARGEST_CHUNK = 64 << 20  # bytes, unpacked: ours hold 64 KiB, or one large message
-LARGEST_NOTE = 1 << 20  # bytes of a schema, a channel or metadata
-LARGEST_ATTACHMENT = 8 << 20  # bytes
-LONGEST_NAME = 256  # characters
+from swarmtrack.recording.limits import (
+    LARGEST_ATTACHMENT_BYTES,
+    LARGEST_CHUNK_BYTES,
+    LARGEST_NOTE_BYTES,
+    LONGEST_RECORD_NAME,
+)
 
 
 class Fields:
@@ -44,7 +44,7 @@ class Fields:
         return self.take(self.number(4)).decode()
 
     def name(self) -> str:
-        return plain(self.text(), LONGEST_NAME)
+        return plain(self.text(), LONGEST_RECORD_NAME)
 
     def entries(self) -> dict[str, str]:
         """A map of texts."""
@@ -78,8 +78,8 @@ def read_metadata(body: bytes) -> Metadata:
 
 
 def read_attachment(body: bytes) -> Attachment:
-    if len(body) > LARGEST_ATTACHMENT:
-        raise ValueError(f"an attachment of {len(body)} bytes, expected {LARGEST_ATTACHMENT} at most")
+    if len(body) > LARGEST_ATTACHMENT_BYTES:
+        raise ValueError(f"an attachment of {len(body)} bytes, expected {LARGEST_ATTACHMENT_BYTES} at most")
     fields = Fields(body)
     log_time, create_time = fields.number(8), fields.number(8)
     name, media_type = fields.name(), fields.name()
@@ -88,8 +88,8 @@ def read_attachment(body: bytes) -> Attachment:
 
 
 def _noted(body: bytes, what: str) -> Fields:
-    if len(body) > LARGEST_NOTE:
-        raise ValueError(f"{what} of {len(body)} bytes, expected {LARGEST_NOTE} at most")
+    if len(body) > LARGEST_NOTE_BYTES:
+        raise ValueError(f"{what} of {len(body)} bytes, expected {LARGEST_NOTE_BYTES} at most")
     return Fields(body)
 
 
@@ -109,8 +109,8 @@ def unpacked_chunk(body: bytes) -> bytes:
     fields = Fields(body)
     _, _, size, checksum = _CHUNK.unpack(fields.take(_CHUNK.size))
     compression, packed = fields.name(), fields.take(fields.number(8))
-    if size > LARGEST_CHUNK:
-        raise ValueError(f"a chunk of {size} bytes, expected {LARGEST_CHUNK} at most")
+    if size > LARGEST_CHUNK_BYTES:
+        raise ValueError(f"a chunk of {size} bytes, expected {LARGEST_CHUNK_BYTES} at most")
     match compression:
         case "zstd":
             data = _decompressed(packed, size)
@@ -127,6 +127,6 @@ def unpacked_chunk(body: bytes) -> bytes:
 
 def _decompressed(packed: bytes, size: int) -> bytes:
     """`size` bytes, one more where there are more, or fewer. A frame's own word of its size is not believed."""
-    unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK)
+    unpacker = zstandard.ZstdDecompressor(max_window_size=LARGEST_CHUNK_BYTES)
     with unpacker.stream_reader(BytesIO(packed)) as reader:
         return bytes(reader.read(size + 1))

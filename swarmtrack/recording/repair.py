@@ -9,8 +9,9 @@ from typing import NamedTuple
 from mcap.writer import Writer
 
 from swarmtrack.errors import RecordingError
+from swarmtrack.recording.limits import CHUNK_BYTES
 from swarmtrack.recording.reader import Segment
-from swarmtrack.recording.writer import ACTIVE, CHUNK_BYTES
+from swarmtrack.recording.writer import ACTIVE
 
 ORIGINAL = ".cut"
 """What the file is called afterwards that was repaired; nothing is thrown away."""

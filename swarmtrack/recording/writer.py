@@ -3,8 +3,9 @@
     0001.mcap  0002.mcap  0003.mcap.active
 
 What ends in `.active` is being written, or was when its process died; every reader here takes it as it is, and
-`swarmtrack log repair` completes it. A chunk is written whole and at least every `FLUSH_S`, so that a file that was cut
-holds all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recording_thread.py` does.
+`swarmtrack log repair` completes it. A chunk is written whole and at least every `CHUNK_FLUSH_S`, so that a file that
+was cut holds all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recording_thread.py`
+does.
 """
 
 from __future__ import annotations
@@ -22,13 +23,10 @@ from foxglove import Channel, Context, Schema
 from foxglove.mcap import MCAPWriteOptions
 
 from swarmtrack.errors import RecordingError
+from swarmtrack.recording.limits import CHUNK_BYTES, CHUNK_FLUSH_S, LEAST_SEGMENTS, WRITE_RETRY_S
 
 ACTIVE = ".active"
 SUFFIX = ".mcap"
-CHUNK_BYTES = 64 << 10
-FLUSH_S = 0.4  # with the recorder's own delay, kill -9 loses half a second
-RETRY_S = 10.0  # s from a write that failed to the next attempt, in a new segment
-LEAST_SEGMENTS = 4  # that `max_bytes` is divided into: the oldest goes as a whole
 
 PREFACE = "swarmtrack.recording"
 """Name of the metadata that every segment begins with."""
@@ -194,7 +192,7 @@ class RecordingWriter:
         current = self._open
         if current is None:
             return
-        if now - current.flushed >= FLUSH_S:
+        if now - current.flushed >= CHUNK_FLUSH_S:
             current.writer.flush()
             current.flushed = now
             if current.file.error is None:
@@ -276,8 +274,8 @@ class RecordingWriter:
         self._fail(error, now)
 
     def _fail(self, error: OSError, now: float) -> None:
-        self.trouble = f"{self.folder}: {error.strerror}; trying again every {RETRY_S:g} s"
-        self._retry_at = now + RETRY_S
+        self.trouble = f"{self.folder}: {error.strerror}; trying again every {WRITE_RETRY_S:g} s"
+        self._retry_at = now + WRITE_RETRY_S
 
     def _make_room(self) -> None:
         """Keep below the bound, with room for a segment more."""

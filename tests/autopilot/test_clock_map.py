@@ -7,15 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.autopilot.clock_map import (
-    CROSSING,
-    HARD_RESYNC,
-    MAX_SLEW,
-    ClockMap,
-    Exchange,
-    slopes_through,
-    supporting_line,
-)
+from swarmtrack.autopilot.clock_map import ClockMap, Exchange, slopes_through, supporting_line
+from swarmtrack.autopilot.limits import CLOCK_CROSSING_S, CLOCK_MAX_SLEW, CLOCK_RESYNC_S
 
 OFFSET = 958.0  # s: our clock at the autopilot's boot
 RATE = 200.0
@@ -66,7 +59,7 @@ def test_the_lower_envelope_finds_offset_and_skew_below_the_jitter(skew):
 def test_mapped_time_is_smooth_whatever_the_jitter():
     stamps, mapped = play(ClockMap(), 20.0, latency=jitter(np.random.default_rng(5), mean=8e-3), skew=90e-6)
     stretch = np.diff(mapped) / np.diff(stamps)
-    assert (np.abs(stretch - 1.0) <= MAX_SLEW + 1e-9).all()
+    assert (np.abs(stretch - 1.0) <= CLOCK_MAX_SLEW + 1e-9).all()
 
 
 def test_timesync_takes_out_the_latency_that_the_envelope_cannot_see():
@@ -107,7 +100,7 @@ def test_a_stepped_clock_is_noticed_by_timesync_and_resynced_once():
 
 def test_an_early_backlog_is_one_hard_resync_not_a_slow_lie():
     clock_map = ClockMap()
-    clock_map.observe(10.0, float(truth(10.0)) + 3 * HARD_RESYNC)  # waited in a buffer
+    clock_map.observe(10.0, float(truth(10.0)) + 3 * CLOCK_RESYNC_S)  # waited in a buffer
     clock_map.observe(10.005, float(truth(10.005)))
     assert clock_map.to_ours(10.005) == pytest.approx(truth(10.005))
     assert clock_map.resyncs == 1
@@ -177,7 +170,7 @@ def test_a_clock_that_no_rate_explains_is_said_and_its_sigma_owns_up():
     _, _, said = lockstep(clock_map, lambda t: rates[(2 * t).astype(int)], 40.0)
     assert said < 10.0
     assert "jumps against ours" in clock_map.in_words
-    assert clock_map.sigma >= CROSSING
+    assert clock_map.sigma >= CLOCK_CROSSING_S
 
 
 @pytest.mark.parametrize("step", [0.03, 0.05, 0.3, -0.03, -0.05, -0.3])

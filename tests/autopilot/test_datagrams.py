@@ -9,7 +9,8 @@ from contextlib import closing
 import pytest
 
 from support.ports import free_port
-from swarmtrack.autopilot.datagrams import MOST, DatagramSocket, open_socket
+from swarmtrack.autopilot.datagrams import DatagramSocket, open_socket
+from swarmtrack.autopilot.limits import DATAGRAMS_PER_TURN
 from swarmtrack.clock import SystemClock
 
 
@@ -70,9 +71,9 @@ async def test_a_step_of_the_wall_clock_moves_no_arrival_beyond_the_last_look_or
 async def test_a_flood_is_read_in_pieces_and_in_order(sender):
     port, clock = free_port(), LaterClock()
     with closing(await listening(clock, port)) as opened:
-        numbers = [b"%d" % i for i in range(MOST + 3)]
+        numbers = [b"%d" % i for i in range(DATAGRAMS_PER_TURN + 3)]
         for number in numbers:
             sender.sendto(number, ("127.0.0.1", port))
         pieces = [[datagram.data for datagram in opened.waiting()] for _ in range(3)]
-    assert pieces[0] == numbers[:MOST]
-    assert pieces[1:] == [numbers[MOST:], []]
+    assert pieces[0] == numbers[:DATAGRAMS_PER_TURN]
+    assert pieces[1:] == [numbers[DATAGRAMS_PER_TURN:], []]

@@ -5,13 +5,8 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.engagement import (
-    SILENT_S,
-    TRANSITIONS,
-    EngagementEvent,
-    EngagementStage,
-    PilotEngagement,
-)
+from swarmtrack.autopilot.engagement import TRANSITIONS, EngagementEvent, EngagementStage, PilotEngagement
+from swarmtrack.autopilot.limits import ENGAGEMENT_SILENT_S
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
 from swarmtrack.mavlink_dialect import CurrentMode
 
@@ -126,7 +121,7 @@ def test_silence_ends_it_for_good_until_the_pilot_engages_anew():
     for k in range(24):
         pilot.engagement.tick(pilot.t + 0.1 * k)
     assert pilot.engagement.engaged
-    pilot.engagement.tick(pilot.t + SILENT_S + 0.1)
+    pilot.engagement.tick(pilot.t + ENGAGEMENT_SILENT_S + 0.1)
     assert pilot.engagement.take_end() == "the autopilot is silent"
     assert not pilot.to(GUIDED)
     pilot.to(LOITER)

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.engagement import STOOD_STILL_S, PilotEngagement
+from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.limits import AGENT_STOOD_STILL_S
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
 from swarmtrack.mavlink_dialect import CurrentMode
 
@@ -106,7 +107,7 @@ class Story:
                 self.waiting.clear()
             elif not frozen:
                 self._live()
-        if frozen and self.t - begun > STOOD_STILL_S:
+        if frozen and self.t - begun > AGENT_STOOD_STILL_S:
             self.owed = True
 
     def _fly(self):

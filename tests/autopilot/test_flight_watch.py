@@ -4,7 +4,8 @@ import math
 
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.flight import STATE_AGE, FlightWatch
+from swarmtrack.autopilot.flight import FlightWatch
+from swarmtrack.autopilot.limits import LANDED_STATE_AGE_S
 from swarmtrack.messages import FlightState
 
 ARMED = common.MAV_MODE_FLAG_SAFETY_ARMED
@@ -49,5 +50,5 @@ def test_without_a_landed_state_that_means_something_the_heartbeat_counts():
     watch.on_landed_state(0.5, landed(common.MAV_LANDED_STATE_UNDEFINED))
     assert watch.on_heartbeat(1.0, heartbeat(common.MAV_STATE_STANDBY)) == FlightState(1.0, None)
     watch.on_landed_state(1.5, landed(ON_GROUND))
-    later = 1.5 + STATE_AGE + 0.1
+    later = 1.5 + LANDED_STATE_AGE_S + 0.1
     assert watch.on_heartbeat(later, heartbeat(common.MAV_STATE_ACTIVE)) == FlightState(later, later)

@@ -13,7 +13,8 @@ from scipy import signal
 from support.autopilot_flight import Flight, Listener
 from support.fake_autopilot import FakeAutopilot, FakePx4
 from support.places import SHARED
-from swarmtrack.autopilot.gyro_delay import ATTEMPTS, GyroDelays, low_pass_delay, mean_delay
+from swarmtrack.autopilot.gyro_delay import GyroDelays, low_pass_delay, mean_delay
+from swarmtrack.autopilot.limits import PARAMETER_REQUESTS
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.streams import ATTITUDE_QUATERNION, HIGHRES_IMU
 from swarmtrack.clock import ManualClock
@@ -99,7 +100,7 @@ async def test_who_does_not_answer_is_taken_to_be_as_usual_and_is_not_asked_for_
     with caplog.at_level(logging.INFO):
         async with Flight(autopilot) as flight:
             flight.fly(20.0)
-    assert names == ["INS_GYRO_FILTER"] * ATTEMPTS
+    assert names == ["INS_GYRO_FILTER"] * PARAMETER_REQUESTS
     assert flight.listener.imu[-1].gyro_delay == pytest.approx(0.01125, abs=1e-5)
     assert flight.count["gyro_delay_sigma_s"] == 4e-3
     assert (

@@ -602,7 +602,7 @@ async def test_two_megabytes_of_noise_into_the_udp_port_stop_nothing(caplog):
 
 async def test_who_forges_an_autopilot_from_another_address_is_counted_and_moves_nothing(caplog, monkeypatch):
     # A busy machine may hold all of us up.
-    monkeypatch.setattr(links, "PEER_SILENT", PATIENCE)
+    monkeypatch.setattr(links, "UDP_PEER_SILENT_S", PATIENCE)
     port = free_port()
     async with RealFlight(f"udpin:127.0.0.1:{port}") as flight:
         autopilot = FakeAutopilot(boot_at=flight.now() - 40.0)

@@ -17,7 +17,8 @@ from support.fake_autopilot import FakeAutopilot
 from support.ports import free_port
 from swarmtrack.autopilot import links
 from swarmtrack.autopilot.address import parse_address
-from swarmtrack.autopilot.links import PEER_SILENT, Link, LinkDown, open_link, records, serial_trouble
+from swarmtrack.autopilot.limits import UDP_PEER_SILENT_S
+from swarmtrack.autopilot.links import Link, LinkDown, open_link, records, serial_trouble
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.errors import SourceError
 
@@ -167,7 +168,7 @@ async def test_udpin_keeps_to_its_first_peer_while_that_lives(caplog):
         async with running(link, receiver):
             autopilot.sendto(b"the autopilot", ("127.0.0.1", port))
             await receiver.has(b"the autopilot")
-            for t in (100.1, 100.0 + 0.99 * PEER_SILENT):
+            for t in (100.1, 100.0 + 0.99 * UDP_PEER_SILENT_S):
                 clock.set(t)
                 stranger.sendto(b"forged autopilot", ("127.0.0.1", port))
                 stranger.sendto(b"forged", ("127.0.0.1", port))
@@ -181,7 +182,7 @@ async def test_udpin_keeps_to_its_first_peer_while_that_lives(caplog):
             (said,) = caplog.messages
             assert f"127.0.0.1 port {stranger.getsockname()[1]} speaks as well: not read" in said
             # A router that was restarted speaks from another port.
-            clock.set(clock.now() + PEER_SILENT)
+            clock.set(clock.now() + UDP_PEER_SILENT_S)
             stranger.sendto(b"the autopilot's new address", ("127.0.0.1", port))
             await receiver.has(b"the autopilot's new address")
             autopilot.sendto(b"the autopilot's old address", ("127.0.0.1", port))
@@ -235,7 +236,7 @@ async def test_a_name_server_that_does_not_answer_is_named_in_time(monkeypatch, 
         await asyncio.Event().wait()
 
     monkeypatch.setattr(asyncio.BaseEventLoop, "getaddrinfo", getaddrinfo)
-    monkeypatch.setattr(links, "CONNECT_TIMEOUT", 0.05)
+    monkeypatch.setattr(links, "LINK_CONNECT_TIMEOUT_S", 0.05)
     link = open_link(f"{scheme}:drone.local:14550", SystemClock())
     async with asyncio.timeout(TIMEOUT):
         with pytest.raises(LinkDown, match=r"drone\.local"):

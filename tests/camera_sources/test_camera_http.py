@@ -28,7 +28,8 @@ from support.streams import (
 )
 from swarmtrack.camera_sources.decode import decode_jpeg
 from swarmtrack.camera_sources.frame_slot import BadImage
-from swarmtrack.camera_sources.multipart import MAX_PART, MultipartReader
+from swarmtrack.camera_sources.limits import MAX_PART_BYTES
+from swarmtrack.camera_sources.multipart import MultipartReader
 from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import StampKind
@@ -213,7 +214,7 @@ def test_boundaries_are_found_as_cameras_write_them(boundary: str, delimiter: st
     assert bodies(stream.replace(b"\r\n", b"\n"), [], boundary)[0][:3] == BODIES[0][:3]
 
 
-@pytest.mark.parametrize("claimed", [10, 100_000, MAX_PART + 1, -1, "many"])
+@pytest.mark.parametrize("claimed", [10, 100_000, MAX_PART_BYTES + 1, -1, "many"])
 def test_a_wrong_length_costs_that_image_only(claimed: object) -> None:
     wrong = part(BODIES[0], length=False).replace(
         b"\r\n\r\n", f"\r\nContent-Length: {claimed}\r\n\r\n".encode(), 1
@@ -224,10 +225,10 @@ def test_a_wrong_length_costs_that_image_only(claimed: object) -> None:
 def test_a_part_without_end_is_given_up_at_the_bound() -> None:
     reader = MultipartReader("frame")
     reader.feed(b"--frame\r\n\r\n", 0.0)
-    for _ in range(MAX_PART // 2**20 + 2):
+    for _ in range(MAX_PART_BYTES // 2**20 + 2):
         reader.feed(bytes(2**20), 0.0)
     assert reader.oversized == 1
-    assert reader.garbage > MAX_PART
+    assert reader.garbage > MAX_PART_BYTES
     assert [found.body for found in reader.feed(part(BODIES[0]), 0.0)] == [BODIES[0]]
 
 

@@ -29,14 +29,8 @@ from support.streams import (
     stream_server,
 )
 from swarmtrack.camera_sources.address import parse_address
-from swarmtrack.camera_sources.detection_stream import (
-    MAX_DETECTIONS,
-    MAX_LINE,
-    BadLine,
-    DetectionStream,
-    LineReader,
-    parse_line,
-)
+from swarmtrack.camera_sources.detection_stream import BadLine, DetectionStream, LineReader, parse_line
+from swarmtrack.camera_sources.limits import MAX_DETECTION_LINE_BYTES, MAX_STREAMED_DETECTIONS
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import load_config
 from swarmtrack.errors import ConfigError, SourceError
@@ -104,7 +98,7 @@ BAD_LINES = [
     b'{"t_s": 1.0}',
     b"\xff\xfe{}",
     b"[" * 5000,
-    b'{"detections": ' + b" " * MAX_LINE + b"[]}",
+    b'{"detections": ' + b" " * MAX_DETECTION_LINE_BYTES + b"[]}",
 ]
 
 
@@ -126,11 +120,11 @@ async def test_a_source_that_sends_only_garbage_says_what_was_found_and_expected
 
 
 async def test_of_too_many_detections_the_best_are_kept(server: StreamServer) -> None:
-    scores = np.linspace(0.0, 1.0, 3 * MAX_DETECTIONS)
+    scores = np.linspace(0.0, 1.0, 3 * MAX_STREAMED_DETECTIONS)
     server.script = sending(line(None, 1, *([1.0, 2.0, 3.0, 4.0, float(score)] for score in scores)))
     source = open_stream(server.url)
     (detections,) = await first(1, source.detections())
-    np.testing.assert_allclose(np.sort(detections.score), scores[-MAX_DETECTIONS:])
+    np.testing.assert_allclose(np.sort(detections.score), scores[-MAX_STREAMED_DETECTIONS:])
     await source.close()
 
 
@@ -208,7 +202,10 @@ def test_how_the_stream_is_cut_into_packets_does_not_matter(lines: list[bytes], 
     assert read(b"".join(text + b"\n" for text in lines), cuts) == lines
 
 
-@given(st.integers(MAX_LINE + 1, 4 * MAX_LINE), st.lists(st.integers(0, 4 * MAX_LINE), max_size=9))
+@given(
+    st.integers(MAX_DETECTION_LINE_BYTES + 1, 4 * MAX_DETECTION_LINE_BYTES),
+    st.lists(st.integers(0, 4 * MAX_DETECTION_LINE_BYTES), max_size=9),
+)
 def test_a_line_too_long_is_told_once_and_the_next_is_whole(length: int, cuts: list[int]) -> None:
     assert read(b"x" * length + b"\n" + b"next\n", cuts) == [None, b"next"]
 

@@ -16,7 +16,13 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.errors import RecordingError, SwarmtrackError
 from swarmtrack.recording import records
 from swarmtrack.recording.info import summarise
-from swarmtrack.recording.reader import MAGIC, MOST_DECLARED, Segment, recordings_below
+from swarmtrack.recording.limits import (
+    LARGEST_ATTACHMENT_BYTES,
+    LARGEST_CHUNK_BYTES,
+    LARGEST_NOTE_BYTES,
+    MOST_DECLARED_CHANNELS,
+)
+from swarmtrack.recording.reader import MAGIC, Segment, recordings_below
 from swarmtrack.recording.repair import repair
 from swarmtrack.recording.settings import read_settings
 from swarmtrack.recording.writer import Attachment as Attached
@@ -91,7 +97,7 @@ def bomb(seconds_of_zeros=4096):
     return b"".join(packer.compress(zeros) for _ in range(seconds_of_zeros)) + packer.flush()
 
 
-@pytest.mark.parametrize("claimed", [100, 1 << 20, records.LARGEST_CHUNK, 4 << 30, 2**64 - 1])
+@pytest.mark.parametrize("claimed", [100, 1 << 20, LARGEST_CHUNK_BYTES, 4 << 30, 2**64 - 1])
 def test_a_chunk_of_gigabytes_is_unpacked_no_further_than_it_claims_and_may(tmp_path, claimed):
     packed = bomb(256)
     file = hand_made(
@@ -111,9 +117,11 @@ def test_what_is_unpacked_is_bounded_whatever_a_frame_says_of_itself():
 
 
 def test_more_channels_than_any_swarm_has_are_not_read_on(tmp_path):
-    file = hand_made(tmp_path / "a.mcap", SCHEMA, CHANNEL, WHOLE, CHANNEL * (MOST_DECLARED + 1), WHOLE)
+    file = hand_made(
+        tmp_path / "a.mcap", SCHEMA, CHANNEL, WHOLE, CHANNEL * (MOST_DECLARED_CHANNELS + 1), WHOLE
+    )
     assert damage_of(file) == (1, damage_of(file)[1])
-    assert f"more than {MOST_DECLARED} schemas and channels" in damage_of(file)[1]
+    assert f"more than {MOST_DECLARED_CHANNELS} schemas and channels" in damage_of(file)[1]
 
 
 @pytest.mark.parametrize(
@@ -123,9 +131,9 @@ def test_more_channels_than_any_swarm_has_are_not_read_on(tmp_path):
             record(4, struct.pack("<HH", 2, 1) + struct.pack("<I", 2**32 - 1) + b"/x"),
             "a field that ends beyond",
         ),
-        (record(3, b"\x02\x00" + text(bytes(records.LARGEST_NOTE))), "expected 1048576 at most"),
+        (record(3, b"\x02\x00" + text(bytes(LARGEST_NOTE_BYTES))), "expected 1048576 at most"),
         (record(12, text(b"a") + text(text(b"\xff\xfe") * 2)), "can't decode"),
-        (attachment(b"big.json", bytes(records.LARGEST_ATTACHMENT)), "expected 8388608 at most"),
+        (attachment(b"big.json", bytes(LARGEST_ATTACHMENT_BYTES)), "expected 8388608 at most"),
         (b"".join(attachment(b"%d" % i, b"") for i in range(100)), "more than 64 notes"),
         (record(5, struct.pack("<HIQQ", 9, 0, 5, 5)), "channel 9, which was not declared"),
         (record(5, b"short"), "holds what cannot be read"),

@@ -1,0 +1,168 @@
+"""Every rate, timeout, noise and cap of the link to an autopilot, one section per module.
+
+Numbers of the MAVLink protocol itself (message IDs, lengths of its fields) are where its bytes are read.
+"""
+
+# Addresses (`address`): USB ports ignore it; on a UART the wrong one is named within 3 s.
+DEFAULT_BAUD = 115200
+# A smaller number after the last colon belongs to the name (/dev/serial/by-path/…-usb-0:1).
+SLOWEST_BAUD = 1200
+
+# Links (`links`, `datagrams`): without a valid frame for so long, another address may be the autopilot's, a router that
+# was restarted. Heartbeats come each second.
+UDP_PEER_SILENT_S = 2.0
+# Every failure names its reason within 3 s.
+LINK_CONNECT_TIMEOUT_S = 2.5
+# A tenth of a second of the fastest serial link.
+SERIAL_READ_BYTES = 4096
+# Waiting to be sent; beyond it new frames are dropped, all of ours are soon repeated.
+LINK_SEND_BUFFER_BYTES = 4096
+# Of a recording as fast as it goes, before others on the event loop get their turn; likewise datagrams read in one
+# piece.
+RECORDS_PER_TURN = 200
+DATAGRAMS_PER_TURN = 200
+# Between two records, or from a log's middle to its ends; what claims more is no stamp.
+LONGEST_RECORDING_S = 86_400.0
+# Of a stream: the rest of a frame would have come, so its header was false.
+FRAME_FLUSH_AFTER_S = 0.05
+
+# Contact (`mavlink_autopilot`, `link_state`, `contact`): also what makes routers learn us.
+AGENT_HEARTBEAT_PERIOD_S = 1.0
+LINK_TICK_S = 0.05
+# Without a byte for so long, the other end of TCP went without saying so.
+TCP_SILENT_S = 5.0
+# Between attempts to connect, doubling.
+FIRST_RETRY_S, LONGEST_RETRY_S = 0.5, 5.0
+# What the sensors themselves reach.
+FASTEST_IMU_HZ = 8000.0
+# Kept until a heartbeat tells whose they are: more than a second of a fast link.
+EARLY_FRAMES_KEPT = 1000
+# Other systems remembered by name.
+NAMED_SOURCES = 8
+# Without any message of the autopilot for so long, it is lost.
+AUTOPILOT_LOST_AFTER_S = 3.0
+# A silence waits so long until it is given a name.
+SILENCE_DIAGNOSED_AFTER_S = 2.5
+# Before the same news is logged again.
+LINK_NEWS_PERIOD_S = 10.0
+
+# Flight state (`flight`): so long a landed state is believed beside the heartbeat.
+LANDED_STATE_AGE_S = 5.0
+
+# Streams (`streams`): over which a rate is measured.
+STREAM_RATE_WINDOW_S = 2.0
+# Of the target; below it the stream is asked for again.
+STREAM_RATE_SHARE = 0.8
+# Of a denied rate is asked for next; and times the rate is asked for once, where it was granted and does not come.
+DENIED_RATE_FACTOR, MISSED_RATE_FACTOR = 0.8, 2.0
+# Denied below it, the message itself is not offered.
+LOWEST_STREAM_HZ = 10.0
+# A busy link takes 0.2 s.
+COMMAND_ACK_TIMEOUT_S = 1.0
+# Unanswered ones, before the command counts as not understood.
+COMMAND_ATTEMPTS = 3
+# Before a slow stream is asked for again, doubling up to the second.
+STREAM_ASKED_AGAIN_S, STREAM_LONGEST_ASKED_AGAIN_S = 4.0, 30.0
+# What is asked for. A local or global position is carried on by its velocity in between, at 5 m/s² to 4 mm and to
+# 25 mm.
+ATTITUDE_HZ = 50.0
+LOCAL_POSITION_HZ, GLOBAL_POSITION_HZ = 25.0, 10.0
+# That of most receivers.
+GPS_FIX_HZ = 5.0
+# Of a range finder, where there is one.
+RANGE_FINDER_HZ = 4.0
+PILOT_SWITCH_HZ = 5.0
+CURRENT_MODE_HZ = 5.0
+# Poses that are made of a ULog.
+ULOG_POSES_HZ = 50.0
+# Of what the line carries may be ours; the rest is for parameters and other programs.
+LINE_SHARE = 0.7
+
+# Telemetry (`telemetry`): without an IMU sample for so long, or for three of its periods where it comes slower.
+IMU_STALE_AFTER_S = 0.5
+# Without an IMU sample for so long its rate is counted from the start again; and over which it is counted.
+IMU_FORGOTTEN_AFTER_S, IMU_RATE_WINDOW_S = 3.0, 2.0
+# A better source of angular velocity must be silent so long before a lesser one is used.
+IMU_PREFERRED_S = 2.0
+# No sensor measures more; what claims it is corrupt.
+FASTEST_GYRO_RAD_S = 100.0
+# m from where the local frame began, and m/s: an estimator that says so has diverged.
+DIVERGED_LOCAL_POSE = 1e6
+# Per axis, against where the local frame began.
+LOCAL_POSITION_SIGMA_M = 0.1
+# So long a position is carried on by its velocity.
+LOCAL_POSITION_AGE_S = 0.5
+# Between a pose's mapped time and its arrival: it is stamped by another clock.
+POSE_CLOCK_MISMATCH_S = 5.0
+# The first exchanges come faster, so that sigma is soon known.
+TIMESYNC_PERIOD_S = 1.0
+TIMESYNC_FIRST_EXCHANGES, TIMESYNC_FIRST_PERIOD_S = 10, 0.2
+# Between what the range finder measured and the pose that it is told with.
+GROUND_FRESH_S = 0.2
+# Cosine of the tilt, 37°: beyond, it measures the ground beside the drone.
+GROUND_LEAST_UPRIGHT_COSINE = 0.8
+
+# GPS (`global_position`): per axis, of a receiver that does not say; open sky, no corrections.
+GPS_USUAL_SIGMA_M = 1.5
+# What ArduPilot's estimator asks of a receiver before it uses it.
+GPS_WORST_SIGMA_M = 5.0
+# So long a fix is believed: PX4 tells of a receiver that went once a second.
+GPS_FIX_AGE_S = 3.0
+# From the team's origin: one of the two is wrong.
+GPS_FARTHEST_FROM_ORIGIN_M = 100e3
+
+# Clock of the autopilot (`clock_map`): one extreme is kept of each bucket; and buckets, long against jitter, short
+# against the wandering of a crystal with temperature.
+CLOCK_BUCKET_S, CLOCK_WINDOW_BUCKETS = 1.0, 60
+# Of stamps before a slope is read from them.
+CLOCK_SKEW_BASELINE_S = 10.0
+# Crystals stay below 1e-4; what is steeper is congestion.
+CLOCK_MAX_SKEW = 1e-3
+# s/s: how fast a correction is brought in, so that no sample's dt is wrong by more than 2 %.
+CLOCK_MAX_SLEW = 0.02
+# An error this large is corrected at once, and reported.
+CLOCK_RESYNC_S = 0.1
+# Bounds that cross by more mean a stepped clock, by less a request dated back.
+CLOCK_CROSSING_S = 0.02
+# A first reply may have been seconds under way.
+CLOCK_LEAST_EXCHANGES = 5
+# Of exchanges that one line must explain before its slope is believed: two restarts at 1 %.
+CLOCK_DRIFT_BASELINE_S = 4.0
+# Exchanges kept for it: the first, fast ones and ten seconds more.
+CLOCK_EXCHANGES_KEPT = 20
+# How far an exchange may miss the line. A simulator's stamps are those of its last step, 4 ms in PX4.
+CLOCK_LINE_SLACKS_S = (0.0, 0.5e-3, 1e-3, 2e-3, 5e-3)
+# Restarts within the window: the clock neither keeps time nor errs by a constant rate.
+CLOCK_UNSTEADY_RESTARTS = 3
+# Standard deviation to own up to without TIMESYNC.
+CLOCK_UNKNOWN_LATENCY_S = 0.005
+
+# Delay of the gyro (`gyro_delay`): between two requests of a parameter, and requests; an ArduPilot that boots answers
+# when it has read its storage.
+PARAMETER_REQUEST_PERIOD_S, PARAMETER_REQUESTS = 1.0, 5
+# One sigma, of a delay that the autopilot told: seven flights of ArduPilot and one of PX4 were no farther off.
+GYRO_DELAY_TOLD_SIGMA_S = 1e-3
+# Likewise, of an autopilot whose filters we do not know.
+GYRO_DELAY_UNKNOWN_SIGMA_S = 10e-3
+# What says more is no filter of a gyro that somebody flies by.
+GYRO_DELAY_LONGEST_S = 0.1
+
+# Engagement (`engagement`): without a heartbeat for so long, nobody knows the mode any more. Heartbeats come once per
+# second, and with each change of mode.
+ENGAGEMENT_SILENT_S = 2.5
+# Between two readings of the clock: sooner than a guard lets go of an agent that stood still for as long.
+AGENT_STOOD_STILL_S = 0.9
+# After it has gone on: so long what comes may have waited in a buffer for it.
+AGENT_BACKLOG_S = 0.5
+# So long after a change of the mode it is known whether the pilot intended that; and before it, a failsafe was told.
+MODE_SETTLES_S, FAILSAFE_TOLD_WITHIN_S = 0.6, 3.0
+# Characters of an autopilot's own words.
+LONGEST_FAILSAFE_TEXT = 40
+
+# Pilot's switch (`pilot_switch`): no receiver says less or more. A channel that there is not is 0 on ArduPilot and
+# 65535 on PX4.
+SHORTEST_CHANNEL_US, LONGEST_CHANNEL_US = 800, 2200
+# Who was silent for longer is heard of for the first time.
+CHANNEL_FORGOTTEN_AFTER_S = 2.0
+# Below the threshold: a channel that trembles there is thrown once.
+CHANNEL_TREMBLES_US = 50

@@ -1,0 +1,44 @@
+"""Every timeout, noise, rate and cap of camera sources, one section per kind of source."""
+
+# Opening (`newest_slot`): between two attempts to open a camera that is away.
+CAMERA_FIRST_BACKOFF_S, CAMERA_LONGEST_BACKOFF_S = 0.5, 5.0
+# A read in progress ends by its own timeout, which may be longer than anybody waits.
+CAMERA_CLOSE_TIMEOUT_S = 0.8
+# Over which rates are counted (`source_status`).
+CAMERA_RATE_WINDOW_S = 2.0
+
+# Decoding (`decode`), 33 megapixels: beyond any drone's camera; a JPEG of 2 kB may claim 65535 x 65535 and ask for
+# 12 GB.
+MAX_DECODED_PIXELS = 1 << 25
+
+# Streams over HTTP and RTSP (`http_stream`, `multipart`, `rtsp`): a stamp further from a clock is not of that clock,
+# and no tracker reaches back so far.
+HTTP_STAMP_WINDOW_S = 2.0
+# A stamp this much after the arrival shows that the two clocks disagree.
+HTTP_STAMP_FUTURE_S = 0.005
+HTTP_MONOTONIC_SIGMA_S = 1e-3
+# Two machines synchronised over a radio link.
+HTTP_UTC_SIGMA_S = 5e-3
+MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 16 << 20, 16 << 10
+RTSP_PORT = 554
+
+# Cameras that detect by themselves (`detection_stream`); of one frame, the best are kept, as many as our own detector
+# gives.
+MAX_DETECTION_LINE_BYTES = 64 << 10
+MAX_STREAMED_DETECTIONS = 64
+
+# V4L2 (`v4l2`): the kernel stamps when it handles the first packet or interrupt of a frame.
+KERNEL_STAMP_SIGMA_S = 1e-3
+# A stamp outside is of another clock, whatever its flags say.
+PLAUSIBLE_STAMP_AGE_S = (-0.1, 60.0)
+# Without a frame until it is reported: periods, and at least so long.
+CAMERA_SILENT_PERIODS, CAMERA_SILENT_AT_LEAST_S = 10, 0.5
+# Of silence: many USB cameras recover only so; the first frame may take them two.
+CAMERA_REOPEN_AFTER_S = 3.0
+# Where the driver does not tell.
+DEFAULT_FRAME_PERIOD_S = 1 / 30
+
+# Files (`video`): where a file does not tell its rate.
+DEFAULT_VIDEO_HZ = 30.0
+# Between two frames; more is a damaged time, for which nobody wants to wait.
+LONGEST_VIDEO_PAUSE_S = 10.0
