@@ -7,7 +7,7 @@ import sys
 
 from swarmtrack.arguments import add_file, add_flag, add_seed, count, positive, require_extra
 from swarmtrack.errors import ModelError, SourceError
-from swarmtrack.training import COARSEST
+from swarmtrack.training import IMAGE_MULTIPLE_PX
 from swarmtrack.training.split_arguments import add_data, split_of
 
 NETWORKS = ("plain", "nano", "resnet34")
@@ -82,7 +82,12 @@ def _add_start(parser: argparse.ArgumentParser) -> None:
 
 
 def _crop(text: str) -> int:
-    if not (text.isascii() and text.isdigit() and int(text) >= 2 * COARSEST and int(text) % COARSEST == 0):
+    if not (
+        text.isascii()
+        and text.isdigit()
+        and int(text) >= 2 * IMAGE_MULTIPLE_PX
+        and int(text) % IMAGE_MULTIPLE_PX == 0
+    ):
         raise argparse.ArgumentTypeError(f"found {text}, expected a multiple of 32 from 64 on")
     return int(text)
 

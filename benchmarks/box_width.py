@@ -33,7 +33,7 @@ from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.clip_frames import frames
 from swarmtrack.benchmarks.harness import PROCESSES, SECOND_STAGE, Benchmark, flag, flown, option, path, seeds
 from swarmtrack.calibration.box_width import (
-    FEWEST_OF_DRONE,
+    FEWEST_BOXES_OF_DRONE,
     OTHER_THING,
     WidthFit,
     Widths,
@@ -223,7 +223,7 @@ def range_errors(drones: Sequence[Widths], believed: BoxWidth) -> RangeErrors:
         )
         error = np.log(drone.span_px / span)
         off.append(error[np.abs(error) < OTHER_THING])
-    off = [errors for errors in off if len(errors) >= FEWEST_OF_DRONE]
+    off = [errors for errors in off if len(errors) >= FEWEST_BOXES_OF_DRONE]
     means = [float(errors.mean()) for errors in off]
     within = math.sqrt(float(np.mean([errors.var() for errors in off])))
     return RangeErrors(float(np.mean(means)), float(np.std(means)), within)

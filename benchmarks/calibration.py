@@ -21,7 +21,7 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import Benchmark, flown, seeds
-from swarmtrack.calibration.board import KINDS, Board, Kind
+from swarmtrack.calibration.board import BOARD_KINDS, Board, Kind
 from swarmtrack.calibration.extrinsics import doubts
 from swarmtrack.calibration.image_motion import ImageMotion
 from swarmtrack.calibration.intrinsics import Fit, Model, fit
@@ -135,7 +135,9 @@ def _alone(fly: Callable[[int], Any], seed: int) -> Any:
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     """calibration.png into `args.out`, too."""
     report.pyplot()  # before the work, not after it, should it be missing
-    boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in KINDS] + [("charuco", "equidistant")]
+    boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in BOARD_KINDS] + [
+        ("charuco", "equidistant")
+    ]
     (minutes,) = flown("turned by hand", [("", partial(_alone, hand_turned))], range(args.seeds))
     parts = [
         (f"{kind}, {model}", partial(_alone, partial(board_shown, kind=kind, model=model)))

@@ -42,7 +42,7 @@ from swarmtrack.training.labelled_clips import (
     read_truth,
 )
 from swarmtrack.training.labelled_images import DataError, LabelledFrame, held_out, load_frames
-from swarmtrack.training.validation import LOWEST, SURE_RECALL
+from swarmtrack.training.validation import LOWEST_SCORE, SURE_RECALL
 
 NAME = "detector"
 TIMED = ((320, 256), (640, 480))  # px
@@ -61,7 +61,7 @@ class Sets(NamedTuple):
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     detector = Detector(
         args.model,
-        score_threshold=LOWEST,
+        score_threshold=LOWEST_SCORE,
         input_scale=args.input_scale,
         second_stage=args.second_stage,
         look="whole",

@@ -42,7 +42,7 @@ from swarmtrack.transport.zenoh_session import close_session, open_session
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import announcement_message, sign_announcement
-from swarmtrack.wire.fields import MAX_BYTES, SIGNATURE_BYTES
+from swarmtrack.wire.fields import MAX_MESSAGE_BYTES, SIGNATURE_BYTES
 from swarmtrack.wire.sightings import sightings_message
 
 NAME = "flood"
@@ -251,7 +251,7 @@ def sender(sort: Sort, session: zenoh.Session, team: str, boot: str) -> Callable
             data = numbered(codec.encode(sightings_message(sightings(boot, _FIRST), 1.7e9, 0.0)))
             return lambda: session.put(identities, next(data))
         case Sort.GARBAGE | Sort.LARGE:
-            noise = os.urandom(1024 if sort == Sort.GARBAGE else MAX_BYTES)
+            noise = os.urandom(1024 if sort == Sort.GARBAGE else MAX_MESSAGE_BYTES)
             turns = [keys.key(team, kind, FLOODER) for kind in Kind if kind != Kind.ALIVE]
             turns.append(keys.key(team, Kind.ALIVE, FLOODER, boot))
             number = count()

@@ -32,7 +32,7 @@ from swarmtrack.benchmarks.lone_agent import free_udp_port
 from swarmtrack.benchmarks.processes import cpu_seconds, module_process, rss_mb
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry.geodesy import Geodetic
-from swarmtrack.guard import SLACK, Decision, Guard
+from swarmtrack.guard import GUARD_SLACK, Decision, Guard
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
 from swarmtrack.lab.autopilots.channel import Channel
 from swarmtrack.lab.autopilots.firmware import FlightMode
@@ -296,9 +296,9 @@ def told_anything(decisions: int, seed: int = 1) -> Told:
         if answer is not None:
             sent += 1
             # NaN fails each.
-            fits = math.hypot(*answer.velocity) <= limits.speed * (1.0 + 2.0 * SLACK)
-            fits = fits and abs(answer.velocity[2]) <= limits.climb * (1.0 + 2.0 * SLACK)
-            beyond += not (fits and abs(answer.yaw_rate) <= limits.yaw_rate * (1.0 + 2.0 * SLACK))
+            fits = math.hypot(*answer.velocity) <= limits.speed * (1.0 + 2.0 * GUARD_SLACK)
+            fits = fits and abs(answer.velocity[2]) <= limits.climb * (1.0 + 2.0 * GUARD_SLACK)
+            beyond += not (fits and abs(answer.yaw_rate) <= limits.yaw_rate * (1.0 + 2.0 * GUARD_SLACK))
     return Told(decisions, sent, beyond)
 
 

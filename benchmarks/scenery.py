@@ -43,7 +43,7 @@ from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.config.drone import DetectorSection
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
-from swarmtrack.lab.score.swarm_score import MIN_HIT_RADIUS, RATE_HZ, Glance, NamedTrack, SwarmScore
+from swarmtrack.lab.score.swarm_score import MIN_SWARM_HIT_RADIUS_PX, SCORE_HZ, Glance, NamedTrack, SwarmScore
 from swarmtrack.lab.world.rendering import Renderer
 from swarmtrack.messages import Image
 from swarmtrack.tracking import DEFAULT_TRACKER
@@ -99,7 +99,7 @@ class Watch:
             if not _on_a_drone(track, glance):
                 key = (glance.observer, track.id)
                 first = Standing(glance.observer, track.camera, glance.t, track.u, track.v)
-                self.standing.setdefault(key, first).seconds += 1.0 / RATE_HZ
+                self.standing.setdefault(key, first).seconds += 1.0 / SCORE_HZ
 
     def _in_picture(self, track: NamedTrack) -> bool:
         low, high = self.scenario.cameras[track.camera].lens.ideal_bounds
@@ -110,7 +110,7 @@ def _on_a_drone(track: NamedTrack, glance: Glance) -> bool:
     for drone_id in (*glance.in_view, *glance.hidden):
         box = glance.box(drone_id, track.camera)
         if box is not None and np.hypot(track.u - box[0], track.v - box[1]) < max(
-            MIN_HIT_RADIUS, 0.5 * box[2:].max()
+            MIN_SWARM_HIT_RADIUS_PX, 0.5 * box[2:].max()
         ):
             return True
     return False
@@ -145,7 +145,7 @@ def fly(p: Programme, name: str, seed: int) -> Flight:
     eyes = rendered_eyes(flown, DetectorSection(second_stage=p.second_stage))
     swarm, watch = VirtualSwarm(flown, tracker=p.tracker, eyes=eyes), Watch(flown)
     score = recognition.judge(swarm, flown, p.seconds, watch.see).score
-    return Flight(seed, score, tuple(watch.standing.values()), watch.tracks, watch.glances / RATE_HZ)
+    return Flight(seed, score, tuple(watch.standing.values()), watch.tracks, watch.glances / SCORE_HZ)
 
 
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:
@@ -154,7 +154,7 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
     times = [standing.seconds for flight in flights for standing in flight.standing]
     minutes = sum(flight.observed_s for flight in flights) / 60.0
     tracks = np.array([flight.tracks for flight in flights])
-    on_nothing = np.array([sum(s.seconds for s in flight.standing) * RATE_HZ for flight in flights])
+    on_nothing = np.array([sum(s.seconds for s in flight.standing) * SCORE_HZ for flight in flights])
     named = [seconds for score in scores for seconds in score.time_to_identify_s.values()]
     rmse = [max(score.rmse_px.values(), default=np.nan) for score in scores]
     return {

@@ -33,7 +33,7 @@ from swarmtrack.lab.scenarios.scenario import (
     announced_starts,
     fly,
 )
-from swarmtrack.lab.score.swarm_score import RATE_HZ, Glance, NamedTrack, SwarmScorer
+from swarmtrack.lab.score.swarm_score import SCORE_HZ, Glance, NamedTrack, SwarmScorer
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 from swarmtrack.lab.world.sensors import DetectorParameters
 from swarmtrack.lab.world.trajectory import SteadyYaw
@@ -149,7 +149,7 @@ class _Judge:
 
     def see(self, t: float, tracks: tuple[NamedTrack, ...]) -> None:
         view = self._truth.view(OBSERVER, t)
-        glance = Glance(OBSERVER, "virtual", math.floor(t * RATE_HZ), t, view.in_view, view.hidden, tracks)
+        glance = Glance(OBSERVER, "virtual", math.floor(t * SCORE_HZ), t, view.in_view, view.hidden, tracks)
         seen = self._scorer.add(glance)
         tracked = {judged.drone_id for judged in seen}
         for judged in seen:

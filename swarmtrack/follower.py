@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from swarmtrack.formation.formation import Formation, lowest
 from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.setpoint import STILL, Setpoint, Velocity, Why
+from swarmtrack.formation.setpoint import STANDSTILL, Setpoint, Velocity, Why
 from swarmtrack.messages import TrackList
 from swarmtrack.perceived import Perceived
 
@@ -48,11 +48,13 @@ class Follower:
             self._engaged = engagement.number
             self.formation.engage()
         if not engagement.number:
-            return LocalSetpoint(STILL, 0.0, Setpoint(t, STILL, 0.0, Why.NOT_ENGAGED, "not engaged"))
+            return LocalSetpoint(
+                STANDSTILL, 0.0, Setpoint(t, STANDSTILL, 0.0, Why.NOT_ENGAGED, "not engaged")
+            )
         own = perceived.own_flight(t)
         if own is None:
             return LocalSetpoint(
-                STILL, 0.0, Setpoint(t, STILL, 0.0, Why.OWN_POSE, "own position is not known")
+                STANDSTILL, 0.0, Setpoint(t, STANDSTILL, 0.0, Why.OWN_POSE, "own position is not known")
             )
         own = replace(own, clock_known=engagement.clock_known)
         states = perceived.anybody(t)

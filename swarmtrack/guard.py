@@ -2,9 +2,9 @@
 
 The agent of a follower starts it, and sends it ten times per second what the law has decided, when, and where the
 autopilot says the drone is. The guard alone sends set points. It sends the last decision while that is younger than
-`STALE_S` and `Guard.refusal` has nothing against it. It sends zero velocity for an older one, slows down for a refused
-one, and after `DEAD_S` of either it sends nothing more until the pilot engages again. An agent that hangs, is stopped
-or dies changes none of this: the guard needs no word from it.
+`SETPOINT_STALE_S` and `Guard.refusal` has nothing against it. It sends zero velocity for an older one, slows down for a
+refused one, and after `SETPOINT_DEAD_S` of either it sends nothing more until the pilot engages again. An agent that
+hangs, is stopped or dies changes none of this: the guard needs no word from it.
 
 Theory of operation. `Guard` is told of everything and of the time, and answers with what to send: it reads no clock and
 touches nothing. `Program` is around it: one socket to the agent, which also hands over the open link to the
@@ -30,24 +30,25 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 Velocity = tuple[float, float, float]
-STILL: Velocity = (0.0, 0.0, 0.0)
+GUARD_STANDSTILL: Velocity = (0.0, 0.0, 0.0)
 
 # s: a decision that comes is sent at once, and again as often as this while no other comes.
 AGAIN_S = 0.15
-# s: an older decision is zero velocity, and one older than DEAD_S the end. So long what is refused is waited for, too.
-STALE_S, DEAD_S = 0.3, 1.0
+# s: an older decision is zero velocity, and one older than SETPOINT_DEAD_S the end. So long what is refused is waited
+# for, too.
+SETPOINT_STALE_S, SETPOINT_DEAD_S = 0.3, 1.0
 # s: `due` adds what `command` subtracts.
-ROUNDING_S = 1e-6
+SETPOINT_TIME_ROUNDING_S = 1e-6
 # s: after the agent has said that it stops, zeros are sent for so long: one datagram may be lost.
-LAST_WORDS_S = 0.25
+GUARD_LAST_WORDS_S = 0.25
 # s: a place that the autopilot told longer ago says nothing of where the drone is.
 OLDEST_PLACE_S = 0.5
 # 1/s: of the room that is left to fence, floor and ceiling, as much may be used up. The law's barrier uses the same.
-GAMMA = 0.5
+GUARD_GAMMA_PER_S = 0.5
 # m beyond the law's own fence, floor and ceiling: the guard is for what the law does not keep, not for its rounding.
-MARGIN_M = 1.0
+GUARD_MARGIN_M = 1.0
 # Of a limit, and m/s: rounding, no more.
-SLACK, SLACK_M_S = 1e-6, 1e-3
+GUARD_SLACK, GUARD_SLACK_M_S = 1e-6, 1e-3
 
 
 class GuardLimits(NamedTuple):
@@ -87,7 +88,7 @@ class Command(NamedTuple):
     yaw_rate: float
 
 
-ZERO = Command(STILL, 0.0)
+ZERO = Command(GUARD_STANDSTILL, 0.0)
 
 
 class Guard:
@@ -152,24 +153,24 @@ class Guard:
         """Infinite where nothing will have to be sent."""
         if not self.engaged:
             return math.inf
-        next_at, stale_at = self._sent_at + AGAIN_S, self._heard_at + STALE_S
+        next_at, stale_at = self._sent_at + AGAIN_S, self._heard_at + SETPOINT_STALE_S
         return min(next_at, stale_at) if self._sent_at < stale_at else next_at
 
     def command(self, now: float, *, gone: bool = False) -> Command | None:
         """What to send now; None: nothing. gone: the agent is, so its last decision is none any more."""
         decision = self._decision
         if decision is None:
-            return ZERO if now - self._stood_at < STALE_S else None
-        dt = min(max(now - self._sent_at, 0.0), STALE_S)
+            return ZERO if now - self._stood_at < SETPOINT_STALE_S else None
+        dt = min(max(now - self._sent_at, 0.0), SETPOINT_STALE_S)
         # A stamp from the future is worth no more than one of the moment when it came.
         age = now - min(decision.t, self._heard_at)
-        if not age <= DEAD_S:
+        if not age <= SETPOINT_DEAD_S:
             self._release(f"no decision for {age:.1f} s")
-            if now - self._sent_at > DEAD_S:
+            if now - self._sent_at > SETPOINT_DEAD_S:
                 # It was the guard that stood still: the autopilot has long helped itself.
                 return None
             answer = ZERO
-        elif gone or age > STALE_S - ROUNDING_S:
+        elif gone or age > SETPOINT_STALE_S - SETPOINT_TIME_ROUNDING_S:
             self.stale += 1
             answer = ZERO
         else:
@@ -181,7 +182,7 @@ class Guard:
         """The decision, if it may be flown; else slower than before."""
         limits = self.limits
         slower = Command(
-            _towards(self._sent.velocity, STILL, limits.acceleration * dt),
+            _towards(self._sent.velocity, GUARD_STANDSTILL, limits.acceleration * dt),
             _turned(self._sent.yaw_rate, 0.0, limits.yaw_acceleration * dt),
         )
         refusal = self.refusal(decision, now)
@@ -193,7 +194,7 @@ class Guard:
             )
         self.refusals += 1
         self._refused_since = min(self._refused_since, now)
-        if now - self._refused_since > DEAD_S:
+        if now - self._refused_since > SETPOINT_DEAD_S:
             self._release(f"refused: {refusal}")
             return ZERO
         return slower
@@ -209,7 +210,7 @@ class Guard:
             ("climb", abs(down), limits.climb),
             ("yaw rate", abs(decision.yaw_rate), limits.yaw_rate),
         ):
-            if value > most * (1.0 + SLACK):
+            if value > most * (1.0 + GUARD_SLACK):
                 return f"{name} {value:.4g}, at most {most:.4g}"
         # Whoever comes to a stop by itself may do so wherever it is.
         if self._slows or speed == 0.0:
@@ -225,7 +226,7 @@ class Guard:
             ("ceiling", limits.fence_height + low, -down),
             ("floor", min(limits.fence_height, self._floor) - low, down),
         ):
-            if leads > max(GAMMA * (room + MARGIN_M), 0.0) + SLACK_M_S:
+            if leads > max(GUARD_GAMMA_PER_S * (room + GUARD_MARGIN_M), 0.0) + GUARD_SLACK_M_S:
                 return f"{leads:.1f} m/s towards the {name}, {room:.1f} m from it"
         return ""
 
@@ -269,8 +270,8 @@ def _turned(now: float, wanted: float, most: float) -> float:
 
 # ── MAVLink: one message; a test compares it with pymavlink's ────────────────────────────────────────────────────────
 
-MESSAGE, CRC_EXTRA = 84, 143
-LOCAL_NED, AUTOPILOT, SIGNED = 1, 1, 1
+SETPOINT_MESSAGE, SETPOINT_CRC_EXTRA = 84, 143
+LOCAL_NED, TARGET_COMPONENT, SIGNED_FLAG = 1, 1, 1
 # Ignored: position, acceleration and heading; used: velocity and yaw rate.
 MASK = 0b010111000111
 PAYLOAD = struct.Struct("<I11fH3B")
@@ -288,13 +289,13 @@ class Speaker:
 
     def frame(self, point: Command, now: float, utc: float) -> bytes:
         payload = PAYLOAD.pack(
-            int(now * 1e3) % 2**32, *STILL, *point.velocity, *STILL, 0.0, point.yaw_rate,
-            MASK, self.system, AUTOPILOT, LOCAL_NED,
+            int(now * 1e3) % 2**32, *GUARD_STANDSTILL, *point.velocity, *GUARD_STANDSTILL, 0.0, point.yaw_rate,
+            MASK, self.system, TARGET_COMPONENT, LOCAL_NED,
         )  # fmt: skip
-        flags = SIGNED if self.key else 0
+        flags = SIGNED_FLAG if self.key else 0
         head = bytes((len(payload), flags, 0, self._sequence, self.system, self.component))
-        body = head + MESSAGE.to_bytes(3, "little") + payload
-        frame = b"\xfd" + body + struct.pack("<H", _crc(body + bytes((CRC_EXTRA,))))
+        body = head + SETPOINT_MESSAGE.to_bytes(3, "little") + payload
+        frame = b"\xfd" + body + struct.pack("<H", _crc(body + bytes((SETPOINT_CRC_EXTRA,))))
         self._sequence = (self._sequence + 1) % 256
         return frame + self._signature(frame, utc) if self.key else frame
 
@@ -327,10 +328,10 @@ def _crc(data: bytes) -> int:
 KEY, LINK, NO_LINK, DECISION, STAND, END, STOP = b"K", b"L", b"l", b"D", b"Z", b"E", b"S"
 RELEASED, SENT = b"R", b"T"
 DECIDED = struct.Struct("<I10d")  # number, t, velocity, yaw_rate, place, place_t, room
-NUMBER = struct.Struct("<I")
+SETPOINT_NUMBER = struct.Struct("<I")
 OPENED = struct.Struct("<BBH")  # system, component, port of the peer: 0, the link has one peer; then its host
 COUNTS = struct.Struct("<III")  # set points sent; in the stead of stale decisions; of refused ones
-LARGEST = 512
+LARGEST_DATAGRAM_BYTES = 512
 
 
 class Program:
@@ -363,7 +364,7 @@ class Program:
     def _listen(self, waiting: select.poll) -> None:
         """One datagram of the agent, or that there will be none any more."""
         try:
-            data, passed, _, _ = socket.recv_fds(self._agent, LARGEST, 1)
+            data, passed, _, _ = socket.recv_fds(self._agent, LARGEST_DATAGRAM_BYTES, 1)
         except BlockingIOError:
             return
         except OSError:
@@ -387,9 +388,9 @@ class Program:
             guard.stands(now)
             self._send()
         elif kind == END:
-            guard.end(*NUMBER.unpack(body))
+            guard.end(*SETPOINT_NUMBER.unpack(body))
         elif kind == STOP:
-            self._ends_at, self._gone = now + (LAST_WORDS_S if guard.engaged else 0.0), True
+            self._ends_at, self._gone = now + (GUARD_LAST_WORDS_S if guard.engaged else 0.0), True
             self._send()
         elif kind == KEY:
             self._speaker.key = body
@@ -410,7 +411,7 @@ class Program:
             self._tell(SENT + COUNTS.pack(self._count, self.guard.stale, self.guard.refusals))
         released = self.guard.take_release()
         if released:
-            self._tell(RELEASED + NUMBER.pack(self.guard.over) + released.encode())
+            self._tell(RELEASED + SETPOINT_NUMBER.pack(self.guard.over) + released.encode())
 
     def _tell(self, data: bytes) -> None:
         with suppress(OSError):  # it hangs, or is gone: nothing waits for it

@@ -7,14 +7,14 @@ before it is shown, logged or sent.
 
 from __future__ import annotations
 
-LONGEST = 500
+LONGEST_PLAIN_TEXT = 500
 """Characters of one line."""
 LONGEST_OF_SEVERAL = 2000
 MOST_LINES = 200
 UNPRINTABLE = "\N{REPLACEMENT CHARACTER}"
 
 
-def plain(text: str, longest: int = LONGEST) -> str:
+def plain(text: str, longest: int = LONGEST_PLAIN_TEXT) -> str:
     """One line of at most `longest` characters, all of which can be printed and encoded.
 
     Newlines and other white space become spaces, and what is cut ends in "…".

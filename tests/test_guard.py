@@ -12,7 +12,16 @@ from pymavlink.dialects.v20 import common
 
 from support.places import ROOT
 from swarmtrack import guard
-from swarmtrack.guard import DEAD_S, STALE_S, ZERO, Command, Decision, Guard, GuardLimits, Speaker
+from swarmtrack.guard import (
+    SETPOINT_DEAD_S,
+    SETPOINT_STALE_S,
+    ZERO,
+    Command,
+    Decision,
+    Guard,
+    GuardLimits,
+    Speaker,
+)
 
 LIMITS = GuardLimits(
     speed=2.5, climb=1.0, yaw_rate=0.8, acceleration=1.5, evasion=6.0, yaw_acceleration=3.0,
@@ -81,10 +90,10 @@ def test_an_old_decision_is_zero_at_once_and_a_dead_one_the_end():
     told = Told().decide(1.0)
     decided = told.now - 0.1
     told.wait(3.0)
-    old = told.since(decided + STALE_S - 1e-9)
-    assert old[0][0] == pytest.approx(decided + STALE_S)
+    old = told.since(decided + SETPOINT_STALE_S - 1e-9)
+    assert old[0][0] == pytest.approx(decided + SETPOINT_STALE_S)
     assert {point for _, point in old} == {ZERO}
-    assert old[-1][0] <= decided + DEAD_S + guard.AGAIN_S + 1e-9
+    assert old[-1][0] <= decided + SETPOINT_DEAD_S + guard.AGAIN_S + 1e-9
     assert told.releases == ["no decision for 1.1 s"]
 
 
@@ -95,7 +104,7 @@ def test_an_agent_that_is_gone_is_zero_at_once_for_as_long_as_a_decision_may_be_
     told.wait(3.0, gone=True)
     assert {point for _, point in told.since(gone)} == {ZERO}
     assert told.since(gone)[0][0] == gone
-    assert DEAD_S - 0.2 < told.since(gone)[-1][0] - gone < DEAD_S + 0.2
+    assert SETPOINT_DEAD_S - 0.2 < told.since(gone)[-1][0] - gone < SETPOINT_DEAD_S + 0.2
 
 
 def test_a_guard_that_stood_still_itself_says_no_last_word():
@@ -146,7 +155,7 @@ def test_what_may_not_be_flown_slows_the_drone_down_and_is_over_after_a_second(w
     assert min(falls) >= 0.0
     assert max(falls) <= LIMITS.acceleration * 0.1 + 1e-9
     assert sent[-1] == 0.0
-    assert told.since(wrong + DEAD_S + 0.2) == []
+    assert told.since(wrong + SETPOINT_DEAD_S + 0.2) == []
     assert told.releases[0].startswith("refused: ")
 
 

@@ -10,16 +10,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.simulated_agent import SimulatedFlight
-from swarmtrack.autopilot.notices import LONGEST_TEXT, Severity, status_text
+from swarmtrack.autopilot.notices import LONGEST_STATUSTEXT_BYTES, Severity, status_text
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.log_lines import PlainFormatter
 from swarmtrack.messages import LinkStatus
-from swarmtrack.plain_text import LONGEST, LONGEST_OF_SEVERAL, MOST_LINES, plain, plain_lines
+from swarmtrack.plain_text import LONGEST_OF_SEVERAL, LONGEST_PLAIN_TEXT, MOST_LINES, plain, plain_lines
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire.fields import LONGEST_LINE
 from swarmtrack.wire.health import HealthMessage, link_health
 
-ANY = st.text(st.characters(exclude_categories=()), max_size=2 * LONGEST)
+ANY = st.text(st.characters(exclude_categories=()), max_size=2 * LONGEST_PLAIN_TEXT)
 # A window's title, a cleared screen, a forged line, text that runs backwards, half a character.
 HOSTILE = (
     "\x1b]0;pwned\x07\x1b[2J\nWARNING all is well\r\u202e\udcff\ud800 \N{LATIN SMALL LETTER A WITH ACUTE}"
@@ -27,7 +27,7 @@ HOSTILE = (
 CLEAN = "�]0;pwned��[2J WARNING all is well ��� á"
 
 
-@given(ANY, st.integers(1, LONGEST))
+@given(ANY, st.integers(1, LONGEST_PLAIN_TEXT))
 def test_any_text_becomes_a_line_that_can_be_shown_and_encoded(text, longest):
     line = plain(text, longest)
     assert len(line) == min(len(text), longest)
@@ -36,7 +36,7 @@ def test_any_text_becomes_a_line_that_can_be_shown_and_encoded(text, longest):
     line.encode()
 
 
-@given(st.text(st.characters(codec="ascii", categories=["L", "N", "P", "S"]), max_size=LONGEST))
+@given(st.text(st.characters(codec="ascii", categories=["L", "N", "P", "S"]), max_size=LONGEST_PLAIN_TEXT))
 def test_plain_text_stays_as_it_is(text):
     assert plain(text) == text
 
@@ -76,14 +76,14 @@ def test_a_line_of_the_log_is_one_line_and_a_traceback_keeps_its_own():
 def test_the_state_of_a_link_is_plain_from_birth_and_fits_the_wire():
     status = LinkStatus(HOSTILE, False, HOSTILE + 100_000 * "x", ((HOSTILE + 99 * "y", 1.0),))
     assert status.name == CLEAN
-    assert len(status.text) == LONGEST
+    assert len(status.text) == LONGEST_PLAIN_TEXT
     said = link_health(status)
     msgspec.msgpack.Decoder(type(said)).decode(msgspec.msgpack.encode(said))
 
 
 def test_a_ground_station_is_sent_no_control_characters():
     sent = "".join(message.text for message in status_text(Severity.WARNING, HOSTILE + 999 * "x", 1))
-    assert len(sent) == LONGEST_TEXT
+    assert len(sent) == LONGEST_STATUSTEXT_BYTES
     assert sent.startswith("?]0;pwned??[2J WARNING all is well ??? ?")
 
 

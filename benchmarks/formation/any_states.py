@@ -16,7 +16,7 @@ import numpy as np
 
 from swarmtrack.formation.margins import LONGEST_TIME_STEP_S
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
-from swarmtrack.formation.setpoint import STILL, OwnFlight, Setpoint, Velocity
+from swarmtrack.formation.setpoint import STANDSTILL, OwnFlight, Setpoint, Velocity
 from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, Track, TrackStatus
 from swarmtrack.relative.heights import HeightSight
 
@@ -172,7 +172,7 @@ class Squeezes:
         self._t += 0.1
         n, rests = self._others, rng.random() < 0.5
         north, east = (SLOTS[2][:2] + rng.normal(0.0, 1.0, 2)).tolist()
-        flies = STILL if rests else self._velocity()
+        flies = STANDSTILL if rests else self._velocity()
         heading = float(rng.uniform(-math.pi, math.pi))
         own = OwnFlight((north, east, self.parameters.down), flies, heading)
         ways = rng.standard_normal((n, 3))
@@ -214,8 +214,8 @@ def closing(velocity: Velocity, story: Story) -> float:
 
 def closes_in(setpoint: Setpoint, before: Setpoint | None, story: Story) -> float:
     """m/s: how much faster a command closes in on somebody who is too near than if the drone stood, or flew on."""
-    flown = STILL if before is None else before.velocity
-    least = max(closing(STILL, story), closing(flown, story), 0.0)
+    flown = STANDSTILL if before is None else before.velocity
+    least = max(closing(STANDSTILL, story), closing(flown, story), 0.0)
     return closing(setpoint.velocity, story) - least
 
 
@@ -230,7 +230,7 @@ def wrong_with(setpoint: Setpoint, limits: FlightLimits, before: Setpoint | None
         return f"climbs faster than {limits.climb} m/s: {setpoint.velocity}"
     if abs(setpoint.yaw_rate) > limits.yaw_rate + SLACK:
         return f"turns faster than {limits.yaw_rate} rad/s: {setpoint.yaw_rate}"
-    last, since = (STILL, 0.0) if before is None else (before.velocity, setpoint.t - before.t)
+    last, since = (STANDSTILL, 0.0) if before is None else (before.velocity, setpoint.t - before.t)
     most = limits.evasion * min(max(since, 0.0), LONGEST_TIME_STEP_S)
     if math.dist(setpoint.velocity, last) > most + SLACK:
         return f"changes by more than {most} m/s: {last} to {setpoint.velocity}"

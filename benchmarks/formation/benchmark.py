@@ -30,8 +30,8 @@ from swarmtrack.benchmarks.formation.meetings import meet, meetings_row
 from swarmtrack.benchmarks.harness import PROCESSES, Benchmark, flown, seeds, some_of
 from swarmtrack.formation.setpoint import Why
 from swarmtrack.lab.score.formation_score import (
-    LOST_M,
-    NEAR_M,
+    LOST_SLOT_M,
+    NEAR_MISS_M,
     LeaderGone,
     SlotErrors,
     after_it_vanished,
@@ -202,8 +202,8 @@ def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
         "runs": len(flown),
         "error_m": {"p50": score.error_p50_m, "p95": score.error_p95_m, "end_p95": score.end_p95_m},
         "min_separation_m": score.min_separation_m,
-        "runs_below_1.5_m": sum(flight.slots.nearest < NEAR_M for flight in flown),
-        "runs_with_a_lost_follower": sum(bool((flight.slots.last > LOST_M).any()) for flight in flown),
+        "runs_below_1.5_m": sum(flight.slots.nearest < NEAR_MISS_M for flight in flown),
+        "runs_with_a_lost_follower": sum(bool((flight.slots.last > LOST_SLOT_M).any()) for flight in flown),
         "farthest_off_m": _middle_and_most([flight.farthest for flight in flown]),
         "held_share": float(np.mean([flight.held for flight in flown])),
         "false_alarms": float(np.mean([flight.alarmed for flight in flown])),

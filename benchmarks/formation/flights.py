@@ -30,7 +30,7 @@ from swarmtrack.lab.scenarios.scenario import (
 )
 from swarmtrack.lab.world.airframe import Airframe
 from swarmtrack.lab.world.guided import GuidedDrone
-from swarmtrack.lab.world.response import ARDUPILOT, SetPoint, Triple
+from swarmtrack.lab.world.response import ARDUPILOT_RESPONSE, SetPoint, Triple
 from swarmtrack.lab.world.sensors import DetectorParameters, visible
 from swarmtrack.lab.world.star import arc
 from swarmtrack.lab.world.trajectory import wander
@@ -253,7 +253,7 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
         north, east, down = (np.array(slot) + off - (0.0, 0.0, HEIGHT_M)).tolist()
         yaw = math.atan2(-slot[1], -slot[0]) if drone != LEADER else 0.0
         drift = wander(chance("wander", drone), DRIFT_M)
-        drones[drone] = GuidedDrone((north, east, down), yaw, ARDUPILOT, drift, hovers=True)
+        drones[drone] = GuidedDrone((north, east, down), yaw, ARDUPILOT_RESPONSE, drift, hovers=True)
         airframes[drone] = Airframe().scaled(
             SPAN_M * math.exp(plan.size_drone * chance("size", drone).standard_normal())
         )
@@ -266,7 +266,7 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
             down - HEIGHT_M,
         )
         drift = wander(chance("wander", INTRUDER), DRIFT_M)
-        drones[INTRUDER] = GuidedDrone(start, 0.0, ARDUPILOT, drift, hovers=True)
+        drones[INTRUDER] = GuidedDrone(start, 0.0, ARDUPILOT_RESPONSE, drift, hovers=True)
         airframes[INTRUDER] = Airframe()
     world = World(seed, drones, airframes)
     failure = plan.failure

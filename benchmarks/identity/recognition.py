@@ -19,7 +19,7 @@ from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score.intervals import Interval, mean_interval
-from swarmtrack.lab.score.swarm_score import RATE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
+from swarmtrack.lab.score.swarm_score import SCORE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 
 SHARES = ("correct", "wrong", "unknown", "agreement")
@@ -57,7 +57,7 @@ class SwarmJudge:
         for drone_id, announced_t in self._swarm.announced_at.items():
             self.scorer.announced(drone_id, announced_t)
             self.scorer.knows(scan.observer, "virtual", drone_id, announced_t)
-        index = math.floor(t * RATE_HZ)
+        index = math.floor(t * SCORE_HZ)
         if self._judged.get(scan.observer) == index:
             return None
         self._judged[scan.observer] = index

@@ -20,15 +20,17 @@ from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.lab.score import paper_scenario
-from swarmtrack.lab.score.paper_scenario import HERE, STEP_S, STEPS, THERE
+from swarmtrack.lab.score.paper_scenario import HERE, PAPER_STEP_S, PAPER_STEPS, THERE
 from swarmtrack.messages import Array, Scan
 from swarmtrack.motion.gyro import GyroHistory
 
 SEED = 20_240_614
 # From the authors' scripts.
-PAPER_CAMERA = PinholeCamera(120.0, 120.0, 180.0, 120.0, paper_scenario.WIDTH_PX, paper_scenario.HEIGHT_PX)
+PAPER_CAMERA = PinholeCamera(
+    120.0, 120.0, 180.0, 120.0, paper_scenario.PAPER_WIDTH_PX, paper_scenario.PAPER_HEIGHT_PX
+)
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
-PAPER_HZ = 1.0 / STEP_S
+PAPER_HZ = 1.0 / PAPER_STEP_S
 
 ACCELERATION_PSD = 600.0  # px²/s³: the white acceleration that fits the paper's drones (peak 65 px/s²)
 LEAST_SIGMA_PX = 0.5  # told where there is no noise: no filter is told that its sensor is perfect
@@ -79,7 +81,7 @@ class Scene:
     sensor: Sensor
     camera: PinholeCamera = PAPER_CAMERA
     rate_hz: float = PAPER_HZ
-    scans: int = STEPS
+    scans: int = PAPER_STEPS
     known_starts: bool = True
     start_speed_px_s: float = 10.0
     """One sigma per axis, told with the known starts; the paper's drones hover then."""
@@ -214,7 +216,7 @@ def _together(begins: tuple[float, ...], duration: float) -> Callable[[np.random
     """
 
     def motion(t: Array) -> Array:
-        step = 1.0 + t / STEP_S
+        step = 1.0 + t / PAPER_STEP_S
         share = np.zeros(len(t))
         for k, begin in enumerate(begins):
             share += (-1.0) ** k * paper_scenario.progress((step - begin) / duration)

@@ -18,7 +18,7 @@ import numpy as np
 from swarmtrack.benchmarks.trackers.play import MakePlayer, Player, make_tracker
 from swarmtrack.benchmarks.trackers.scenes import Scene, Sensor
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.lab.score.paper_scenario import STEP_S
+from swarmtrack.lab.score.paper_scenario import PAPER_STEP_S
 from swarmtrack.messages import Array, Scan
 
 SIZES = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)
@@ -107,7 +107,7 @@ def cost_of(
     player.initiate(0.0, points)
     for k in range(1, WARM_UP + 1):
         begin = time.thread_time()
-        _show(player, STEP_S * k, detect(points, detections, rng))
+        _show(player, PAPER_STEP_S * k, detect(points, detections, rng))
         if 1e3 * (time.thread_time() - begin) > TOO_SLOW_MS:
             slow = 1e3 * (time.thread_time() - begin)
             return Cost(tracker, layout, targets, detections, slow, slow, 1, len(player.tracks))
@@ -117,7 +117,7 @@ def cost_of(
     while len(spent) < repeats and (time.thread_time() - began < longest_s or len(spent) < 3):
         fresh, z = copy.deepcopy(player), detect(points, detections, rng)
         begin = time.thread_time()
-        _show(fresh, STEP_S * (WARM_UP + 1), z)
+        _show(fresh, PAPER_STEP_S * (WARM_UP + 1), z)
         spent.append(1e3 * (time.thread_time() - begin))
         held = sum(track.status != "tentative" for track in fresh.tracks)
         if spent[-1] > TOO_SLOW_MS:
@@ -164,11 +164,11 @@ def at_cost(tracker: str, tracks: int, *, repeats: int = 200) -> Cost:
     points = points * 900.0 / points.max()
     player = make_tracker(scene, tracker)
     player.initiate(0.0, points)
-    _show(player, STEP_S, points)
+    _show(player, PAPER_STEP_S, points)
     spent = []
     for _ in range(repeats + 3):
         begin = time.thread_time()
-        player.at(STEP_S + 0.05, PSEUDO_TURN, 1e-6)
+        player.at(PAPER_STEP_S + 0.05, PSEUDO_TURN, 1e-6)
         spent.append(1e3 * (time.thread_time() - begin))
     spent = spent[3:]
     return Cost(tracker, "at", tracks, 0, float(np.median(spent)), min(spent), repeats, tracks)

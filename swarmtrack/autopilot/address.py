@@ -27,7 +27,7 @@ SCHEMES: dict[str, Scheme] = {
     "ulog": "ulog",
     "none": "none",
 }
-RECORDINGS: dict[Scheme, str] = {"tlog": ".tlog", "ulog": ".ulg"}
+RECORDING_ENDINGS: dict[Scheme, str] = {"tlog": ".tlog", "ulog": ".ulg"}
 EXAMPLES = (
     "udpin:127.0.0.1:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, "
     "serial:/dev/ttyACM0:921600, tlog:flight.tlog?speed=1, ulog:flight.ulg or none"
@@ -81,7 +81,7 @@ def parse_address(text: str) -> LinkAddress:
         return LinkAddress("none")
     if text.startswith("/dev/"):
         return _serial(text, text)
-    for recorded, ending in RECORDINGS.items():
+    for recorded, ending in RECORDING_ENDINGS.items():
         if text.partition("?")[0].endswith(ending) and not text.startswith(f"{recorded}:"):
             return _recording(text, recorded, text.removeprefix("file://").removeprefix("file:"))
     if re.fullmatch(r"COM\d+.*", text, re.IGNORECASE):
@@ -94,7 +94,7 @@ def parse_address(text: str) -> LinkAddress:
     rest = rest.removeprefix("//")
     if scheme == "serial":
         return _serial(text, rest)
-    if scheme in RECORDINGS:
+    if scheme in RECORDING_ENDINGS:
         return _recording(text, scheme, rest)
     return _network(text, scheme, rest.rstrip("/"))
 
@@ -103,7 +103,7 @@ def is_recording(text: str) -> bool:
     """Whether an address, however it is written, is of a flight that is over."""
     return any(
         text.startswith(f"{scheme}:") or text.partition("?")[0].endswith(ending)
-        for scheme, ending in RECORDINGS.items()
+        for scheme, ending in RECORDING_ENDINGS.items()
     )
 
 

@@ -20,7 +20,7 @@ from swarmtrack.clock import Clock
 SO_TIMESTAMPNS = 35
 TIMESPEC = struct.Struct("@ll")
 ANCILLARY = socket.CMSG_SPACE(TIMESPEC.size)
-LARGEST = 65536  # bytes
+LARGEST_UDP_BYTES = 65536  # bytes
 
 Address = tuple[str, int]
 
@@ -47,7 +47,7 @@ class DatagramSocket:
         now, utc, since = self._clock.now(), self._clock.utc(), self._looked_at
         for _ in range(DATAGRAMS_PER_TURN):
             try:
-                data, ancillary, _, sender = self._socket.recvmsg(LARGEST, ANCILLARY)
+                data, ancillary, _, sender = self._socket.recvmsg(LARGEST_UDP_BYTES, ANCILLARY)
             except BlockingIOError:
                 self._looked_at = now
                 return

@@ -64,7 +64,7 @@ class EngagementEvent(Enum):
     FAILED = auto()
 
 
-TRANSITIONS: dict[tuple[EngagementStage, EngagementEvent], EngagementStage] = {
+ENGAGEMENT_TRANSITIONS: dict[tuple[EngagementStage, EngagementEvent], EngagementStage] = {
     (EngagementStage.WAITING, EngagementEvent.LEFT): EngagementStage.AWAY,
     (EngagementStage.AWAY, EngagementEvent.ENTERED): EngagementStage.ENGAGED,
     (EngagementStage.AWAY, EngagementEvent.FAILED): EngagementStage.WAITING,
@@ -229,7 +229,7 @@ class PilotEngagement:
         return f"mode is {mode_name(self._mode, self._kind)} now{why}"
 
     def _fire(self, event: EngagementEvent, why: str) -> None:
-        then = TRANSITIONS.get((self.stage, event), self.stage)
+        then = ENGAGEMENT_TRANSITIONS.get((self.stage, event), self.stage)
         if then is self.stage:
             return
         if self.engaged:

@@ -15,8 +15,8 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.autopilot.limits import LANDED_STATE_AGE_S
 from swarmtrack.messages import FlightState
 
-FLYING = (common.MAV_STATE_ACTIVE, common.MAV_STATE_CRITICAL, common.MAV_STATE_EMERGENCY)
-IN_THE_AIR = (
+FLYING_STATES = (common.MAV_STATE_ACTIVE, common.MAV_STATE_CRITICAL, common.MAV_STATE_EMERGENCY)
+AIRBORNE_LANDED_STATES = (
     common.MAV_LANDED_STATE_IN_AIR,
     common.MAV_LANDED_STATE_TAKEOFF,
     common.MAV_LANDED_STATE_LANDING,
@@ -36,14 +36,14 @@ class FlightWatch:
         if t - self._landed_state_at > LANDED_STATE_AGE_S:
             # Armed on the ground ArduPilot is in STANDBY.
             armed = bool(m.base_mode & common.MAV_MODE_FLAG_SAFETY_ARMED)
-            self._fly(t, is_airborne=armed and m.system_status in FLYING)
+            self._fly(t, is_airborne=armed and m.system_status in FLYING_STATES)
         return FlightState(t, self._since)
 
     def on_landed_state(self, t: float, m: Any) -> None:
         """EXTENDED_SYS_STATE has come at t [s]. An autopilot that does not know says so."""
         if m.landed_state != common.MAV_LANDED_STATE_UNDEFINED:
             self._landed_state_at = t
-            self._fly(t, is_airborne=m.landed_state in IN_THE_AIR)
+            self._fly(t, is_airborne=m.landed_state in AIRBORNE_LANDED_STATES)
 
     def _fly(self, t: float, *, is_airborne: bool) -> None:
         if not is_airborne:

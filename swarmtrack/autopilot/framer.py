@@ -19,10 +19,10 @@ V1, V2 = 0xFE, 0xFD
 HEADER_V1, HEADER_V2 = 6, 10  # bytes, magic included
 CRC_LENGTH = 2
 SIGNATURE_LENGTH = 13
-SIGNED = 0x01  # the only incompatibility flag there is
+SIGNED_FRAME_FLAG = 0x01  # the only incompatibility flag there is
 
-MAGIC = re.compile(b"[\xfd\xfe]")
-CRC_EXTRA: dict[int, bytes] = {i: bytes((m.crc_extra,)) for i, m in common.mavlink_map.items()}
+FRAME_MAGIC = re.compile(b"[\xfd\xfe]")
+CRC_EXTRA_OF_MESSAGE: dict[int, bytes] = {i: bytes((m.crc_extra,)) for i, m in common.mavlink_map.items()}
 PAYLOAD_SIZE: dict[int, int] = {i: m.unpacker.size for i, m in common.mavlink_map.items()}
 
 _crc: Callable[[bytes], int]
@@ -98,14 +98,14 @@ class Framer:
         size = len(buffer)
         frames: list[MavlinkFrame] = []
         position = 0
-        while (magic := MAGIC.search(buffer, position)) is not None:
+        while (magic := FRAME_MAGIC.search(buffer, position)) is not None:
             start = magic.start()
             if start > self._explained:
                 self._settle(start, confirmed=False)
             position = start + 1
             version_2 = buffer[start] == V2
             header = HEADER_V2 if version_2 else HEADER_V1
-            if version_2 and size - start >= 3 and buffer[start + 2] & ~SIGNED:
+            if version_2 and size - start >= 3 and buffer[start + 2] & ~SIGNED_FRAME_FLAG:
                 continue  # flags that nobody has defined: not a header, or one we could not read
             if size - start < header:
                 if final:
@@ -114,13 +114,13 @@ class Framer:
                 break
             length = buffer[start + 1]
             total = header + length + CRC_LENGTH
-            signed = version_2 and buffer[start + 2] == SIGNED
+            signed = version_2 and buffer[start + 2] == SIGNED_FRAME_FLAG
             if signed:
                 total += SIGNATURE_LENGTH
             message_id = (
                 int.from_bytes(buffer[start + 7 : start + 10], "little") if version_2 else buffer[start + 5]
             )
-            extra = CRC_EXTRA.get(message_id)
+            extra = CRC_EXTRA_OF_MESSAGE.get(message_id)
             if extra is None:
                 if start == self._explained:
                     self._claims += 1

@@ -31,7 +31,7 @@ from swarmtrack.geometry.geodesy import Geodetic, to_ned
 from swarmtrack.messages import Array
 
 FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
-UNKNOWN = 255  # satellites
+UNKNOWN_SATELLITES = 255  # satellites
 
 
 class GlobalPosition:
@@ -63,7 +63,11 @@ class GlobalPosition:
         self._fix_at = t
         self._fix_lack = ""
         if m.fix_type < FIX_3D:
-            seen = "" if m.satellites_visible == UNKNOWN else f" with {m.satellites_visible} satellites"
+            seen = (
+                ""
+                if m.satellites_visible == UNKNOWN_SATELLITES
+                else f" with {m.satellites_visible} satellites"
+            )
             self._fix_lack = f"GPS fix {m.fix_type}{seen}, expected a 3D fix (3 or more)"
         elif max(told) > GPS_WORST_SIGMA_M:
             self._fix_lack = f"GPS ±{max(told):.1f} m, expected ±{GPS_WORST_SIGMA_M:g} m or better"

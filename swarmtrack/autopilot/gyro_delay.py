@@ -81,14 +81,14 @@ class _Kind(NamedTuple):
     of_rates: DelayParameter
 
 
-KINDS: dict[int, _Kind] = {
+DELAY_PARAMETERS: dict[int, _Kind] = {
     common.MAV_AUTOPILOT_ARDUPILOTMEGA: _Kind(INS_GYRO_FILTER, INS_GYRO_FILTER),
     common.MAV_AUTOPILOT_PX4: _Kind(IMU_INTEG_RATE, IMU_GYRO_CUTOFF),
 }
 
 
 def _names_of(kind: int) -> tuple[str, ...]:
-    return tuple(parameter.name for parameter in KINDS.get(kind, ()))
+    return tuple(parameter.name for parameter in DELAY_PARAMETERS.get(kind, ()))
 
 
 class GyroDelays:
@@ -142,7 +142,7 @@ class GyroDelays:
     @property
     def _parameters(self) -> tuple[DelayParameter, ...]:
         kind = self._reader.kind
-        return () if kind is None else tuple(KINDS.get(kind, ()))
+        return () if kind is None else tuple(DELAY_PARAMETERS.get(kind, ()))
 
     def _settle(self) -> None:
         self._of_imu, self._of_rates = map(self._judge, self._parameters or (None, None))

@@ -56,7 +56,7 @@ from swarmtrack.sources import AutopilotListener
 
 log = logging.getLogger(__name__)
 
-AUTOPILOT: int = common.MAV_COMP_ID_AUTOPILOT1
+AUTOPILOT_COMPONENT: int = common.MAV_COMP_ID_AUTOPILOT1
 
 
 def _check(imu_rate_hz: float, system_id: int | None) -> None:
@@ -355,12 +355,16 @@ class MavlinkAutopilot:
         if contact.system is None and frame.id == common.MAVLINK_MSG_ID_HEARTBEAT:
             return True
         system = contact.expected_system if contact.system is None else contact.system
-        return frame.id in self._readers and frame.component == AUTOPILOT and system in (None, frame.system)
+        return (
+            frame.id in self._readers
+            and frame.component == AUTOPILOT_COMPONENT
+            and system in (None, frame.system)
+        )
 
     def _on_frame(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
         """Take a frame once the autopilot is known; message: what it decodes to, None where it was refused."""
         contact = self._contact
-        if frame.component != AUTOPILOT or frame.system != contact.system:
+        if frame.component != AUTOPILOT_COMPONENT or frame.system != contact.system:
             contact.foreign += 1
             return False
         reader = self._readers.get(frame.id)
@@ -398,7 +402,7 @@ class MavlinkAutopilot:
         if message is None:
             return False
         is_autopilot = (
-            frame.component == AUTOPILOT
+            frame.component == AUTOPILOT_COMPONENT
             and message.autopilot != common.MAV_AUTOPILOT_INVALID
             and message.type != common.MAV_TYPE_GCS
         )

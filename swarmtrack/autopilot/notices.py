@@ -14,9 +14,9 @@ from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.messages import Array
 from swarmtrack.plain_text import plain
 
-CHUNK = 50  # bytes of a STATUSTEXT
-LONGEST_TEXT = 4 * CHUNK
-LONGEST_NAME = 10  # bytes of a NAMED_VALUE_FLOAT's name
+STATUSTEXT_BYTES = 50  # bytes of a STATUSTEXT
+LONGEST_STATUSTEXT_BYTES = 4 * STATUSTEXT_BYTES
+NAMED_VALUE_BYTES = 10  # bytes of a NAMED_VALUE_FLOAT's name
 LONGEST_CALLSIGN = 8  # bytes, and a zero after them
 NOT_USED = math.nan  # what the dialect asks for in fields that do not apply
 # Cameras that a message can tell apart.
@@ -39,20 +39,25 @@ def status_text(severity: Severity, text: str, number: int) -> Iterator[Any]:
 
     Not every ground station expects more than ASCII, so other signs become `?`; no text from outside passes unread.
     """
-    data = plain(text).replace("±", "+-").replace("…", "...").encode("ascii", "replace")[:LONGEST_TEXT]
-    if len(data) <= CHUNK:
+    data = (
+        plain(text)
+        .replace("±", "+-")
+        .replace("…", "...")
+        .encode("ascii", "replace")[:LONGEST_STATUSTEXT_BYTES]
+    )
+    if len(data) <= STATUSTEXT_BYTES:
         yield common.MAVLink_statustext_message(severity, data)
         return
     # The last chunk is the first that is not full: a text that fills its last one needs an empty one after it.
-    for index, start in enumerate(range(0, len(data) + 1, CHUNK)):
-        chunk = data[start : start + CHUNK]
+    for index, start in enumerate(range(0, len(data) + 1, STATUSTEXT_BYTES)):
+        chunk = data[start : start + STATUSTEXT_BYTES]
         yield common.MAVLink_statustext_message(severity, chunk, id=number, chunk_seq=index)
 
 
 def named_value(now: float, name: str, value: float) -> Any:
     """NAMED_VALUE_FLOAT; now [s]: of our clock, which counts from this computer's boot as the message wants it."""
     return common.MAVLink_named_value_float_message(
-        int(now * 1e3) % 2**32, name.encode("ascii")[:LONGEST_NAME], value
+        int(now * 1e3) % 2**32, name.encode("ascii")[:NAMED_VALUE_BYTES], value
     )
 
 

@@ -41,10 +41,9 @@ from swarmtrack.autopilot.limits import (
     STREAM_RATE_WINDOW_S,
 )
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS
+from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.mavlink_dialect import CURRENT_MODE
 from swarmtrack.messages import Array
-
-STANDARD_GRAVITY = 9.80665  # m/s²: accelerations come in thousandths of it
 
 NOT_MEASURED = np.full(3, np.nan)
 HIGHRES_IMU: int = common.MAVLINK_MSG_ID_HIGHRES_IMU
@@ -87,7 +86,7 @@ def _read_highres(m: Any) -> tuple[Array, Array]:
 def _read_milli(m: Any) -> tuple[Array, Array]:
     # RAW_IMU is not raw: both autopilots send calibrated mrad/s and mG.
     gyro = np.array((m.xgyro, m.ygyro, m.zgyro)) * 1e-3
-    return gyro, np.array((m.xacc, m.yacc, m.zacc)) * (STANDARD_GRAVITY * 1e-3)
+    return gyro, np.array((m.xacc, m.yacc, m.zacc)) * (STANDARD_GRAVITY_M_S2 * 1e-3)
 
 
 def _read_rates(m: Any) -> tuple[Array, Array]:

@@ -24,14 +24,14 @@ from swarmtrack.messages import Array
 
 journal = logging.getLogger(__name__)
 
-MAGIC = b"ULog\x01\x12\x35"
+ULOG_MAGIC = b"ULog\x01\x12\x35"
 DATAFLASH = b"\xa3\x95"  # ArduPilot's .bin
-UNKNOWN = 65535  # of a velocity, a course, a heading
+ULOG_UNKNOWN = 65535  # of a velocity, a course, a heading
 MAX_ACCURACY_MM = 2**32 - 1
 ARMED = 2  # vehicle_status.arming_state
 GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")  # until PX4 1.12, and since 1.13 also the receiver's own
 GYRO_TOPICS = ("sensor_combined", "vehicle_angular_velocity")
-TOPICS = (
+ULOG_TOPICS = (
     *GYRO_TOPICS,
     "vehicle_attitude",
     "vehicle_local_position",
@@ -61,7 +61,7 @@ def read_ulog(path: Path) -> UlogFlight:
     # What pyulog raises on bytes that are no log, its own error and whatever they mislead it to; and a topic that lacks
     # a column.
     try:
-        log = ULog(str(path), list(TOPICS))
+        log = ULog(str(path), list(ULOG_TOPICS))
         topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data["timestamp"])}
         gps = next((topics[name] for name in GPS_TOPICS if name in topics), None)
         said = sorted(_said(topics, gps), key=lambda message: message[0])
@@ -104,7 +104,7 @@ def _said(topics: Mapping[str, Columns], gps: Columns | None) -> Said:
 def _check_magic(path: Path) -> None:
     try:
         with path.open("rb") as file:
-            begin = file.read(len(MAGIC))
+            begin = file.read(len(ULOG_MAGIC))
     except OSError as error:
         raise SourceError(f"{path}: cannot be read ({error.strerror}), expected a ULog of PX4") from None
     if begin.startswith(DATAFLASH):
@@ -112,7 +112,7 @@ def _check_magic(path: Path) -> None:
             f"{path}: is a DataFlash log of ArduPilot, which is not read, expected a ULog of PX4 (.ulg), or the "
             "ground station's telemetry log of the same flight (.tlog)"
         )
-    if begin != MAGIC:
+    if begin != ULOG_MAGIC:
         raise SourceError(
             f"{path}: is no ULog (it begins with {begin.hex(' ')}), expected a log of PX4 (.ulg)"
         )
@@ -241,7 +241,7 @@ def _global_position(t: float, place: Geodetic, velocity: list[float]) -> Any:
         round(1e3 * place.height),
         0,
         *(round(1e2 * v) for v in velocity),
-        UNKNOWN,
+        ULOG_UNKNOWN,
     )
 
 
@@ -265,7 +265,7 @@ def _fixes(columns: Columns | None) -> Said:
                 round(t * 1e6),
                 int(row[3]),
                 *whole[:3],
-                *(UNKNOWN,) * 4,
+                *(ULOG_UNKNOWN,) * 4,
                 int(row[4]),
                 0,
                 *(min(value, MAX_ACCURACY_MM) for value in whole[3:]),

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array, Image
 
 Kind = Literal["charuco", "aprilgrid", "checkerboard"]
-KINDS: tuple[Kind, ...] = ("charuco", "aprilgrid", "checkerboard")
+BOARD_KINDS: tuple[Kind, ...] = ("charuco", "aprilgrid", "checkerboard")
 DICTIONARIES = {"charuco": cv2.aruco.DICT_5X5_250, "aprilgrid": cv2.aruco.DICT_APRILTAG_36h11}
 MARKER_SHARE = 0.7  # of a square that its marker fills
-LEAST_CORNERS = 8
+LEAST_BOARD_CORNERS = 8
 LEAST_SPREAD = 0.05  # second singular value of the corners over the first: less is a line
 PAPERS_MM = {"A4": (297.0, 210.0), "A3": (420.0, 297.0), "A2": (594.0, 420.0), "letter": (279.4, 215.9)}
 
@@ -39,8 +39,8 @@ class Board:
     square_m: float = 0.028
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ValueError(f"board: found {self.kind}, expected one of {', '.join(KINDS)}")
+        if self.kind not in BOARD_KINDS:
+            raise ValueError(f"board: found {self.kind}, expected one of {', '.join(BOARD_KINDS)}")
         if not (3 <= self.columns <= 30 and 3 <= self.rows <= 30):
             raise ValueError(f"board: found {self.columns} x {self.rows}, expected 3 … 30 squares each way")
         if not 1e-3 <= self.square_m <= 2.0:
@@ -79,7 +79,7 @@ class Board:
             "checkerboard": self._find_checks,
         }
         seen = finder[self.kind](grey)
-        if seen is None or len(seen.ids) < LEAST_CORNERS:
+        if seen is None or len(seen.ids) < LEAST_BOARD_CORNERS:
             return None
         spread = np.linalg.svd(seen.points[:, :2] - seen.points[:, :2].mean(axis=0), compute_uv=False)
         return seen if spread[1] > LEAST_SPREAD * spread[0] else None

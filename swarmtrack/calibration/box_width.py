@@ -19,7 +19,7 @@ from swarmtrack.messages import Array
 from swarmtrack.relative.box_width import BoxWidth
 
 # Boxes without which nothing is said; and how many times the narrowest the widest must be for a padding to be told.
-FEWEST, FEWEST_OF_DRONE, APART = 200, 30, 1.6
+FEWEST_BOXES, FEWEST_BOXES_OF_DRONE, PADDING_WIDTH_RATIO = 200, 30, 1.6
 # Drones whose lasting errors differ by a figure; of fewer the usual one stays.
 FEWEST_DRONES = 3
 # Of ln(width): whatever is farther off than this is a box around something else.
@@ -53,17 +53,17 @@ class WidthFit(NamedTuple):
 
 def fit_box_width(drones: Sequence[Widths]) -> WidthFit:
     """Raises CalibrationError where the boxes tell too little."""
-    drones = [drone for drone in drones if len(drone.t) >= FEWEST_OF_DRONE]
+    drones = [drone for drone in drones if len(drone.t) >= FEWEST_BOXES_OF_DRONE]
     boxes = sum(len(drone.t) for drone in drones)
-    if boxes < FEWEST:
+    if boxes < FEWEST_BOXES:
         raise CalibrationError(
-            f"found {boxes} boxes of drones at a known distance, expected {FEWEST} or more, at least "
-            f"{FEWEST_OF_DRONE} of each drone: record a longer flight, nearer to each other"
+            f"found {boxes} boxes of drones at a known distance, expected {FEWEST_BOXES} or more, at least "
+            f"{FEWEST_BOXES_OF_DRONE} of each drone: record a longer flight, nearer to each other"
         )
     x = np.concatenate([drone.span_px for drone in drones])
     log_w = np.log(np.concatenate([drone.box_px for drone in drones]))
     low, high = np.quantile(x, [0.05, 0.95]).tolist()
-    padded = high > APART * low
+    padded = high > PADDING_WIDTH_RATIO * low
     factor, padding = _line(x, log_w, padded)
     off = [np.log(drone.box_px) - np.log(factor * drone.span_px + padding) for drone in drones]
     good = [np.abs(e) < OTHER_THING for e in off]
@@ -120,7 +120,7 @@ def _split(drones: Sequence[tuple[Array, Array]]) -> tuple[float, float, float]:
             pair = np.abs(t[later] - t - lag) < 0.25 * lag
             sums[k] += float((e[pair] * e[later[pair]]).sum())
             counts[k] += int(pair.sum())
-    told = counts >= FEWEST_OF_DRONE
+    told = counts >= FEWEST_BOXES_OF_DRONE
     if not told.any():
         usual = BoxWidth()
         return 0.0, usual.wander_s, math.sqrt(whole)

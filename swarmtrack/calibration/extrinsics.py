@@ -15,11 +15,11 @@ from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
 from swarmtrack.motion.hand_eye import Agreement, HandEye
 
-SURE_DEG, SURE_S = 0.3, 3e-3  # one sigma
+CALIBRATED_SIGMA_DEG, CALIBRATED_SIGMA_S = 0.3, 3e-3  # one sigma
 LEAST_RATE = 0.12  # rad/s about the axis that was turned about the least
 MOST_OUTLIERS = 0.3  # share of frames
 LEAST_SECONDS = 15.0
-FITS = (0.7, 1.3)  # image over gyro, with the mounting that was found
+FIT_RATIO_BOUNDS = (0.7, 1.3)  # image over gyro, with the mounting that was found
 BODY_AXES = ("roll (about the nose)", "pitch (about the wings)", "yaw (about the vertical)")
 
 
@@ -37,7 +37,8 @@ def doubts(found: HandEye, agreement: Agreement | None, *, seconds: float, reach
     if (
         agreement is not None
         and not (
-            (FITS[0] < agreement.gain) & (agreement.gain < FITS[1]) | (agreement.rate < LEAST_RATE)
+            (FIT_RATIO_BOUNDS[0] < agreement.gain) & (agreement.gain < FIT_RATIO_BOUNDS[1])
+            | (agreement.rate < LEAST_RATE)
         ).all()
     ):
         gains = ", ".join(f"{gain:.2f}" for gain in agreement.gain)
@@ -55,9 +56,9 @@ def doubts(found: HandEye, agreement: Agreement | None, *, seconds: float, reach
     elif found.excitation[0] < LEAST_RATE:
         lines.append("all turns were about two axes or fewer: also turn about each axis on its own")
     sigma = math.degrees(float(found.rotation_sigma.max()))
-    if sigma > SURE_DEG:
+    if sigma > CALIBRATED_SIGMA_DEG:
         lines.append(f"the rotation is known only to ± {sigma:.2f}°: turn longer, and about all axes")
-    if found.time_offset_sigma_s > SURE_S:
+    if found.time_offset_sigma_s > CALIBRATED_SIGMA_S:
         lines.append(
             f"the offset is known only to ± {1e3 * found.time_offset_sigma_s:.1f} ms: turn to and fro, faster"
         )

@@ -19,15 +19,15 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array, Image
 from swarmtrack.motion.hand_eye import Turns
 
-CORNERS = 200
-LEAST_CORNERS = 25  # that agree; with fewer the image says nothing
+FOLLOWED_CORNERS = 200
+LEAST_FOLLOWED_CORNERS = 25  # that agree; with fewer the image says nothing
 SPACING = 8.0  # px between corners, in an image 320 px wide
-WIDTH = 480  # px: larger images are halved until they are about so wide
+FLOW_WIDTH_PX = 480  # px: larger images are halved until they are about so wide
 THERE_AND_BACK = 0.5  # px
 PROPOSALS = 100
 AGREES = 2.0  # px from where the rotation puts it
-LONGEST = 0.25  # s between two frames that are compared
-WINDOW = (21, 21)
+LONGEST_FRAME_GAP_S = 0.25  # s between two frames that are compared
+FLOW_WINDOW_PX = (21, 21)
 LEVELS = 3
 
 
@@ -44,7 +44,7 @@ class ImageMotion:
     """Told of frames one after the other; keeps what they said of the camera's turning."""
 
     def __init__(self, camera: PinholeCamera) -> None:
-        halvings = max(0, round(np.log2(camera.width / WIDTH)))
+        halvings = max(0, round(np.log2(camera.width / FLOW_WIDTH_PX)))
         self._size = (camera.width >> halvings, camera.height >> halvings)
         self._camera = camera.scaled(*self._size)
         self._rng = np.random.default_rng(0)
@@ -59,7 +59,7 @@ class ImageMotion:
             grey = np.asarray(cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA), np.uint8)
         last, self._last = self._last, (t, grey)
         self.frames += 1
-        if last is None or not 0.0 < t - last[0] <= LONGEST:
+        if last is None or not 0.0 < t - last[0] <= LONGEST_FRAME_GAP_S:
             return None
         turn = self._between(*last, t, grey)
         if turn is not None:
@@ -77,16 +77,16 @@ class ImageMotion:
 
     def _between(self, start: float, before: Image, end: float, after: Image) -> Turn | None:
         pixels, moved = _followed(before, after)
-        if len(pixels) < LEAST_CORNERS:
+        if len(pixels) < LEAST_FOLLOWED_CORNERS:
             return None
         b0, b1 = self._camera.bearing(pixels), self._camera.bearing(moved)
         sound = np.isfinite(b0).all(axis=1) & np.isfinite(b1).all(axis=1)
         b0, b1 = b0[sound], b1[sound]
-        if len(b0) < LEAST_CORNERS:
+        if len(b0) < LEAST_FOLLOWED_CORNERS:
             return None
         limit = AGREES / self._camera.fx
         R, agreeing = _rotation(b0, b1, limit, self._rng)
-        if agreeing.sum() < LEAST_CORNERS:
+        if agreeing.sum() < LEAST_FOLLOWED_CORNERS:
             return None
         return Turn(start, end, rotation.log(R), float(agreeing.mean()))
 
@@ -94,15 +94,27 @@ class ImageMotion:
 def _followed(before: Image, after: Image) -> tuple[Array, Array]:
     """Corners (n, 2) px in the one image, and where they are in the other."""
     spacing = SPACING * before.shape[1] / 320.0
-    corners = cv2.goodFeaturesToTrack(before, CORNERS, 0.01, spacing)
+    corners = cv2.goodFeaturesToTrack(before, FOLLOWED_CORNERS, 0.01, spacing)
     if corners is None:
         return np.empty((0, 2)), np.empty((0, 2))
     criteria = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 20, 0.01)
     there, found, _ = cv2.calcOpticalFlowPyrLK(
-        before, after, corners, np.empty_like(corners), winSize=WINDOW, maxLevel=LEVELS, criteria=criteria
+        before,
+        after,
+        corners,
+        np.empty_like(corners),
+        winSize=FLOW_WINDOW_PX,
+        maxLevel=LEVELS,
+        criteria=criteria,
     )
     back, found_back, _ = cv2.calcOpticalFlowPyrLK(
-        after, before, there, np.empty_like(corners), winSize=WINDOW, maxLevel=LEVELS, criteria=criteria
+        after,
+        before,
+        there,
+        np.empty_like(corners),
+        winSize=FLOW_WINDOW_PX,
+        maxLevel=LEVELS,
+        criteria=criteria,
     )
     apart = np.linalg.norm((corners - back).reshape(-1, 2), axis=1)
     good = (found.ravel() == 1) & (found_back.ravel() == 1) & (apart < THERE_AND_BACK)

@@ -17,9 +17,9 @@ from swarmtrack.messages import Array
 
 CELLS = (5, 4)  # of the image
 NOVEL = 0.12  # difference in place, size (shares of the image) or tilt (rad) that makes a view another one
-STILL = 0.006  # of the image's width from one frame to the next: more is blurred
+STILL_BOARD_SHARE = 0.006  # of the image's width from one frame to the next: more is blurred
 TILTED = 0.25  # rad
-NEAR, FAR = 0.55, 0.35  # of the image's width
+NEAR_BOARD_SHARE, FAR_BOARD_SHARE = 0.55, 0.35  # of the image's width
 ENOUGH_CELLS, ENOUGH_VIEWS, MOST_VIEWS = 0.85, 15, 60
 TILTS = ("its left edge", "its right edge", "its upper edge", "its lower edge")
 
@@ -71,7 +71,7 @@ class BoardViews:
         if len(mine) < 4:
             return False
         moved = np.linalg.norm(seen.pixels[mine] - last.pixels[theirs], axis=1)
-        return float(moved.mean()) < STILL * self.size[0]
+        return float(moved.mean()) < STILL_BOARD_SHARE * self.size[0]
 
     def cells(self) -> NDArray[np.bool_]:
         """(rows, columns): where in the image there were corners."""
@@ -93,9 +93,9 @@ class BoardViews:
         if absent := [name for name, shown in zip(TILTS, sides, strict=True) if not shown]:
             wanted.append(f"the board tilted with {' or '.join(absent)} towards you")
         sizes = [view.size for view in self.kept]
-        if max(sizes, default=0.0) < NEAR:
+        if max(sizes, default=0.0) < NEAR_BOARD_SHARE:
             wanted.append("the board near, filling the picture")
-        if min(sizes, default=1.0) > FAR:
+        if min(sizes, default=1.0) > FAR_BOARD_SHARE:
             wanted.append("the board farther away")
         if len(self.kept) < ENOUGH_VIEWS:
             wanted.append(f"{ENOUGH_VIEWS - len(self.kept)} more views")

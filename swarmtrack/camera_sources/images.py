@@ -20,7 +20,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Image
 
-SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
+IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def read_image(path: Path) -> Image | None:
 def matching(folder: Path, pattern: str) -> list[Path]:
     """Images in the folder by name, numbers in names by value: frame_9 before frame_10."""
     try:
-        found = [path for path in folder.glob(pattern) if path.suffix.lower() in SUFFIXES]
+        found = [path for path in folder.glob(pattern) if path.suffix.lower() in IMAGE_SUFFIXES]
     except (ValueError, NotImplementedError) as error:
         raise SourceError(f'image folder {folder}: pattern "{pattern}": {error}') from None
 

@@ -15,7 +15,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.sources import Camera
 
-CAMERAS: dict[str, Callable[..., Camera]] = {
+CAMERA_SOURCES: dict[str, Callable[..., Camera]] = {
     "v4l2": V4l2Camera,
     "file": open_video_file,
     "images": open_images,
@@ -34,9 +34,9 @@ def open_camera(
     base: the folder that relative paths start from. Raises SourceError for what can never work.
     """
     address = parse_address(source)
-    if address.scheme not in CAMERAS:
-        known = [*CAMERAS, DETECTS_BY_ITSELF]
+    if address.scheme not in CAMERA_SOURCES:
+        known = [*CAMERA_SOURCES, DETECTS_BY_ITSELF]
         raise SourceError(
             f'camera source {address}: unknown scheme "{address.scheme}"{nearest(address.scheme, known)}'
         )
-    return CAMERAS[address.scheme](address, clock=clock, size=size, base=base)
+    return CAMERA_SOURCES[address.scheme](address, clock=clock, size=size, base=base)

@@ -54,7 +54,7 @@ from swarmtrack.tracking.lifecycle import Reach, probability_in_view
 from swarmtrack.tracking.motion_model import POSITION, optical_flow
 from swarmtrack.tracking.passage import Passage
 
-TURNED, LOST_SIGHT = "turned", "lost sight"
+TURNED_SEAM, LOST_SIGHT_SEAM = "turned", "lost sight"
 
 
 class RigCamera(NamedTuple):
@@ -398,15 +398,15 @@ class Rig:
         for (first, second), seam in self._seams.items():
             if self._apart & {first, second}:
                 continue
-            said = None if seam.fits else LOST_SIGHT
-            said = TURNED if said is None and seam.is_turned else said
+            said = None if seam.fits else LOST_SIGHT_SEAM
+            said = TURNED_SEAM if said is None and seam.is_turned else said
             if said is not None and (first, second, said) not in self._said:
                 self._said.add((first, second, said))
                 news.append(self._news(first, second, said))
         return news
 
     def _news(self, first: int, second: int, said: str) -> SeamNews:
-        if said == LOST_SIGHT:
+        if said == LOST_SIGHT_SEAM:
             return SeamNews(first, second, None, None)
         seam = self._seams[first, second]
         body_from_first = self._cameras[first].body_from_camera.rotation

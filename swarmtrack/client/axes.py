@@ -6,6 +6,7 @@ import enum
 
 import numpy as np
 
+from swarmtrack.geometry.rotation import ENU_FROM_NED
 from swarmtrack.messages import Array
 
 
@@ -20,7 +21,7 @@ class Axes(enum.Enum):
     @property
     def world_from_ned(self) -> Array:
         """(3, 3)."""
-        return np.eye(3) if self is Axes.NED else _ENU_FROM_NED
+        return np.eye(3) if self is Axes.NED else ENU_FROM_NED
 
     @property
     def body_from_frd(self) -> Array:
@@ -28,5 +29,4 @@ class Axes(enum.Enum):
         return np.eye(3) if self is Axes.NED else _FLU_FROM_FRD
 
 
-_ENU_FROM_NED: Array = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 _FLU_FROM_FRD: Array = np.diag([1.0, -1.0, -1.0])

@@ -20,7 +20,7 @@ from swarmtrack.wire.tracks import TracksMessage
 M = TypeVar("M", CameraMessage, HealthMessage, TracksMessage)
 
 # An ID that no drone has: we are of no team.
-NOBODY = 0
+NO_DRONE_ID = 0
 # s: whoever has had two boots for longer has not restarted (with the default lease).
 CLASH_S = 2.5
 
@@ -31,7 +31,7 @@ class HeardTeam:
     def __init__(self, team: str, axes: Axes) -> None:
         self._team = team
         self._axes = axes
-        self._membership = Membership(NOBODY, "", CLASH_S)
+        self._membership = Membership(NO_DRONE_ID, "", CLASH_S)
         self._cameras: dict[tuple[int, str], DroneCamera] = {}
         self._counters: Counter[str] = Counter()
 
@@ -104,12 +104,12 @@ class HeardTeam:
         address = keys.parse(sample.key)
         if address is None or address.team != self._team or address.kind is not kind or address.rest:
             self._counters["messages_on_no_key"] += 1
-            return NOBODY, None
+            return NO_DRONE_ID, None
         if not self._membership.alive(address.drone_id):
             self._counters[f"{kind}_before_token"] += 1
-            return NOBODY, None
+            return NO_DRONE_ID, None
         try:
             return address.drone_id, codec.decode(message, sample.payload)
         except DecodeError:
             self._counters[f"{kind}_malformed"] += 1
-            return NOBODY, None
+            return NO_DRONE_ID, None

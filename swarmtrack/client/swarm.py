@@ -22,10 +22,12 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 
 T = TypeVar("T")
 
-ASK_S: Final = 0.5  # s between two questions for a camera that is missing
-KEPT: Final = 64  # messages that wait for a reader who is busy: more than a second of one drone's tracks
-PATIENCE_S: Final = 10.0
-QUIET: Final = (Kind.CAMERA, Kind.TRACKS, Kind.HEALTH)
+CLIENT_ASK_PERIOD_S: Final = 0.5  # s between two questions for a camera that is missing
+CLIENT_MESSAGES_KEPT: Final = (
+    64  # messages that wait for a reader who is busy: more than a second of one drone's tracks
+)
+CLIENT_PATIENCE_S: Final = 10.0
+QUIET_KINDS: Final = (Kind.CAMERA, Kind.TRACKS, Kind.HEALTH)
 
 
 class Swarm:
@@ -101,7 +103,11 @@ class Swarm:
         return self._heard.camera(drone_id)
 
     def tracks(
-        self, drone_id: int | None = None, *, keep: int = KEPT, patience_s: float | None = PATIENCE_S
+        self,
+        drone_id: int | None = None,
+        *,
+        keep: int = CLIENT_MESSAGES_KEPT,
+        patience_s: float | None = CLIENT_PATIENCE_S,
     ) -> AsyncIterator[Sight]:
         """What a drone tracks, 50 times a second by default; drone_id None: of all drones.
 
@@ -112,7 +118,11 @@ class Swarm:
         return self._read(self._sights, drone_id, keep, patience_s)
 
     def health(
-        self, drone_id: int | None = None, *, keep: int = KEPT, patience_s: float | None = PATIENCE_S
+        self,
+        drone_id: int | None = None,
+        *,
+        keep: int = CLIENT_MESSAGES_KEPT,
+        patience_s: float | None = CLIENT_PATIENCE_S,
     ) -> AsyncIterator[DroneHealth]:
         """How a drone's agent is doing, once a second; arguments as of `tracks`."""
         return self._read(self._healths, drone_id, keep, patience_s)
@@ -160,7 +170,7 @@ class Swarm:
     async def _ask_for_cameras(self) -> None:
         """A question may overtake the links, and what was put before them is lost."""
         while True:
-            await asyncio.sleep(ASK_S)
+            await asyncio.sleep(CLIENT_ASK_PERIOD_S)
             for drone_id in self._heard.without_camera:
                 self._listener.ask(Kind.CAMERA, drone_id)
 
@@ -236,4 +246,4 @@ class _Outlets(Generic[T]):
 
 
 def _expressions(team: str) -> list[str]:
-    return [keys.key(team, Kind.ALIVE, "*", "*"), *(keys.key(team, kind, "*") for kind in QUIET)]
+    return [keys.key(team, Kind.ALIVE, "*", "*"), *(keys.key(team, kind, "*") for kind in QUIET_KINDS)]

@@ -30,7 +30,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import is_rotation
 from swarmtrack.messages import Array
 
-MAX_BYTES = 1024 * 1024  # a calibration is a page
+MAX_CAMERA_FILE_BYTES = 1024 * 1024  # a calibration is a page
 MOST_ENTRIES = 200_000
 DEEPEST = 32  # levels
 ROTATION_TOLERANCE = 2e-3  # entries of RRᵀ: files written by hand carry three or four digits
@@ -58,7 +58,7 @@ COEFFICIENTS = (
     "D",
     "d",
 )
-WIDTH = ("image_width", "image_Width", "imageWidth", "width")
+WIDTH_KEYS = ("image_width", "image_Width", "imageWidth", "width")
 HEIGHT = ("image_height", "image_Height", "imageHeight", "height")
 SIZE = ("image_size", "imageSize", "resolution", "img_size")
 
@@ -127,13 +127,15 @@ def _read(path: Path) -> dict[str, Any]:
     """The first YAML document of a file, as a mapping."""
     try:
         with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
+            raw = file.read(MAX_CAMERA_FILE_BYTES + 1)
         text = raw.decode()
     except (OSError, ValueError) as error:  # ValueError: a NUL in the path, or bytes that are no UTF-8
         reason = getattr(error, "strerror", None) or "not text"
         raise CalibrationError(f"{path}: cannot be read ({reason}), expected a YAML file") from None
-    if len(raw) > MAX_BYTES:
-        raise CalibrationError(f"{path}: larger than {MAX_BYTES // 1024} KiB, expected a calibration in YAML")
+    if len(raw) > MAX_CAMERA_FILE_BYTES:
+        raise CalibrationError(
+            f"{path}: larger than {MAX_CAMERA_FILE_BYTES // 1024} KiB, expected a calibration in YAML"
+        )
     # OpenCV, and OpenVINS after it, begin with `%YAML:1.0`, which is not YAML.
     text = re.sub(r"\A\ufeff?%YAML:1\.0\s*\n", "", text)
     try:
@@ -316,10 +318,10 @@ def _size(file: _CameraFile) -> tuple[int, int]:
     if key is not None:
         width, height = file.numbers(key, (2,))
     else:
-        width_key, height_key = file.find(WIDTH), file.find(HEIGHT)
+        width_key, height_key = file.find(WIDTH_KEYS), file.find(HEIGHT)
         if width_key is None or height_key is None:
             file.refuse(
-                WIDTH[0], "missing, expected the width and height of the images it was calibrated with"
+                WIDTH_KEYS[0], "missing, expected the width and height of the images it was calibrated with"
             )
         key = f"{width_key}, {height_key}"
         width, height = file.numbers(width_key, (1,))[0], file.numbers(height_key, (1,))[0]

@@ -58,7 +58,7 @@ from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
 DISTORTIONS: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
-ORIGIN: Vector = (0.0, 0.0, 0.0)
+TEAM_FRAME_ORIGIN: Vector = (0.0, 0.0, 0.0)
 Angle = Annotated[Positive, Field(le=180.0)]
 FRD_FROM = {"frd": np.eye(3), "flu": np.diag([1.0, -1.0, -1.0])}
 
@@ -70,7 +70,7 @@ class Start(Section):
     """Where the drone stands in the team frame when it announces itself: measured, or from its own autopilot."""
 
     position_m: Place = Field(
-        default=ORIGIN, description="[north, east, down] in the team frame, m; up is negative"
+        default=TEAM_FRAME_ORIGIN, description="[north, east, down] in the team frame, m; up is negative"
     )
     yaw_deg: Number = Field(
         default=0.0, description="heading of the nose, clockwise from the team frame's north"
@@ -87,7 +87,7 @@ class Start(Section):
         "relative to the origin in [team], and its heading from true north",
     )
     offset_m: Place = Field(
-        default=ORIGIN, description="origin of the autopilot's local frame, in the team frame, m"
+        default=TEAM_FRAME_ORIGIN, description="origin of the autopilot's local frame, in the team frame, m"
     )
 
     @model_validator(mode="after")
@@ -179,11 +179,11 @@ class Mount(Section):
     """Where a camera sits. With zero angles it looks along the nose, upright."""
 
     rpy_deg: Vector = Field(
-        default=ORIGIN,
+        default=TEAM_FRAME_ORIGIN,
         description="roll, pitch, yaw of the camera as if it were a body, degrees; zeros look along the nose",
     )
     position_m: Vector = Field(
-        default=ORIGIN, description="[forward, right, down] from the origin of the body, m"
+        default=TEAM_FRAME_ORIGIN, description="[forward, right, down] from the origin of the body, m"
     )
 
     def pose(self) -> Pose:
@@ -606,7 +606,9 @@ class MotionSection(Section):
         default=None,
         description="how late the autopilot's gyro is; default: what its filter's parameter says, which is read once",
     )
-    gyro_bias_rad_s: Vector = Field(default=ORIGIN, description="what the gyro reads at rest, body FRD")
+    gyro_bias_rad_s: Vector = Field(
+        default=TEAM_FRAME_ORIGIN, description="what the gyro reads at rest, body FRD"
+    )
     estimate_gyro_bias: Switch = Field(
         default=True,
         description="estimate it in flight from the autopilot's attitude, starting at gyro_bias_rad_s",

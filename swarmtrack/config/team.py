@@ -16,7 +16,7 @@ from swarmtrack.config.toml.sections import Number, Place, Positive, Section, Sw
 from swarmtrack.geometry.geodesy import Geodetic
 
 # Of what the file says: further off, a drone's own start contradicts it.
-SAME_PLACE_SIGMAS, SAME_PLACE_M = 3.0, 0.1
+SAME_START_SIGMAS, SAME_CONFIGURED_START_M = 3.0, 0.1
 
 
 class TeamOrigin(Section):
@@ -219,8 +219,8 @@ def roster_problems(layers: Layers) -> list[Problem]:
     here, there = start.get(key), filed.get("position_m")
     try:
         apart = math.dist(here, there) if here is not None and there is not None else 0.0
-        allowed = SAME_PLACE_SIGMAS * math.hypot(*3 * (filed.get("position_sigma_m", 0.0),))
-        differs = apart > max(allowed, SAME_PLACE_M)
+        allowed = SAME_START_SIGMAS * math.hypot(*3 * (filed.get("position_sigma_m", 0.0),))
+        differs = apart > max(allowed, SAME_CONFIGURED_START_M)
     except (TypeError, ValueError):
         return []  # pydantic says so
     if not differs:

@@ -22,8 +22,8 @@ import numpy as np
 from swarmtrack.errors import ConfigError
 from swarmtrack.messages import Array
 
-COLUMNS = ("id", "t_s", "north_m", "east_m", "down_m")
-MAX_BYTES = 16 * 1024 * 1024
+TRAJECTORY_COLUMNS = ("id", "t_s", "north_m", "east_m", "down_m")
+MAX_TRAJECTORY_BYTES = 16 * 1024 * 1024
 MAX_ID = 65535
 MAX_METRES, MAX_SECONDS = 1e5, 1e5
 
@@ -44,7 +44,7 @@ def write_trajectories(path: Path, rows: Iterable[Sequence[float]], more_columns
     """Rows of (id, t_s, north_m, east_m, down_m, then a value for each of more_columns)."""
     with path.open("w", encoding="utf-8", newline="") as file:
         lines = csv.writer(file, lineterminator="\n")
-        lines.writerow((*COLUMNS, *more_columns))
+        lines.writerow((*TRAJECTORY_COLUMNS, *more_columns))
         for drone_id, *values in rows:
             lines.writerow((int(drone_id), *(f"{value:.4f}" for value in values)))
 
@@ -53,15 +53,23 @@ def read_trajectories(path: Path) -> dict[int, SampledTrajectory]:
     """By drone. Raises ConfigError with `FILE:LINE: column: found, expected` for the first thing that is wrong."""
     samples: dict[int, list[tuple[float, ...]]] = {}
     try:
-        if path.stat().st_size > MAX_BYTES:
-            raise _wrong(path, 1, f"larger than {MAX_BYTES // 2**20} MiB, expected a table of trajectories")
+        if path.stat().st_size > MAX_TRAJECTORY_BYTES:
+            raise _wrong(
+                path, 1, f"larger than {MAX_TRAJECTORY_BYTES // 2**20} MiB, expected a table of trajectories"
+            )
         with path.open(encoding="utf-8", newline="") as file:
             lines = csv.DictReader(file, strict=True)
-            missing = [column for column in COLUMNS if column not in (lines.fieldnames or ())]
+            missing = [column for column in TRAJECTORY_COLUMNS if column not in (lines.fieldnames or ())]
             if missing:
-                raise _wrong(path, 1, f"column {missing[0]}: missing, expected {','.join(COLUMNS)} in line 1")
+                raise _wrong(
+                    path,
+                    1,
+                    f"column {missing[0]}: missing, expected {','.join(TRAJECTORY_COLUMNS)} in line 1",
+                )
             for line in lines:
-                drone_id, *sample = (_number(path, lines.line_num, line, column) for column in COLUMNS)
+                drone_id, *sample = (
+                    _number(path, lines.line_num, line, column) for column in TRAJECTORY_COLUMNS
+                )
                 own = samples.setdefault(int(drone_id), [])
                 if own and sample[0] <= own[-1][0]:
                     text = f"t_s: {sample[0]:g} of drone {int(drone_id)}, expected more than {own[-1][0]:g}"

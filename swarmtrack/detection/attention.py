@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 
 # Times a box: its surroundings belong to what a net knows drones by.
-MARGIN = 1.5
+ATTENTION_MARGIN = 1.5
 # px, of a box not known yet.
 UNKNOWN_SIZE = 24.0
 # px: a box nearer to a window's edge, where the image goes on, is that of half a drone.
@@ -129,7 +129,7 @@ class AttentionWindows:
         """Windows for tracks, those that would overlap most made one."""
         parameters = self._parameters
         size = np.where(np.isfinite(boxes[:, 4:6]), boxes[:, 4:6], UNKNOWN_SIZE)
-        half = MARGIN * size / 2 + boxes[:, 2:4]
+        half = ATTENTION_MARGIN * size / 2 + boxes[:, 2:4]
         regions = np.concatenate([boxes[:, :2] - half, boxes[:, :2] + half], axis=1)
         scale = np.clip(parameters.target_px / size.max(axis=1, initial=1.0), 1.0, parameters.most_enlarged)
         inside = ((regions[:, 2:] > 0) & (regions[:, :2] < np.array(image) - 1)).all(axis=1)

@@ -20,7 +20,7 @@ HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr")
 STRIDES = (8, 16, 32)  # of YOLO's three maps
 ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
 FOREIGN_THRESHOLD = 0.25  # of nets that tell none: what Ultralytics' own predictor takes
-DRONES = ("drone", "uav", "quadcopter", "quadrotor", "multirotor", "multicopter")
+DRONE_CLASS_NAMES = ("drone", "uav", "quadcopter", "quadrotor", "multirotor", "multicopter")
 LOOK_ALIKES = ("bird", "airplane", "aeroplane", "plane", "helicopter", "kite", "balloon")
 
 Shape = tuple[int, ...]
@@ -100,15 +100,23 @@ def _ours(path: str, written: Mapping[str, str]) -> Description:
     return Description(
         head=head,
         stride=entry(
-            "stride", metadata.pixels, f"a positive whole number of pixels, {metadata.COARSEST} at most"
+            "stride",
+            metadata.pixels,
+            f"a positive whole number of pixels, {metadata.COARSEST_STRIDE_PX} at most",
         ),
         multiple=entry(
-            "multiple", metadata.pixels, f"a positive whole number of pixels, {metadata.COARSEST} at most"
+            "multiple",
+            metadata.pixels,
+            f"a positive whole number of pixels, {metadata.COARSEST_STRIDE_PX} at most",
         ),
         names=entry("names", metadata.names, "a JSON list of class names"),
         score_threshold=entry("score_threshold", metadata.fraction, "a number in 0…1"),
         scale=entry("scale", metadata.scale, "a number other than 0, or a JSON list of three"),
-        mean=entry("mean", metadata.three, f"a JSON list of three numbers, none beyond {metadata.LARGEST:g}"),
+        mean=entry(
+            "mean",
+            metadata.three,
+            f"a JSON list of three numbers, none beyond {metadata.LARGEST_METADATA_NUMBER:g}",
+        ),
         channel_order=entry("channel_order", metadata.one_of(["BGR", "RGB"]), "BGR or RGB"),
         pad_value=entry("pad_value", metadata.byte, "a whole number in 0…255"),
         calibration=entry(
@@ -134,7 +142,7 @@ def _ultralytics(path: str, written: Mapping[str, str], trial: Trial, declared: 
         )
     try:
         named: Any = ast.literal_eval(metadata.bounded(written["names"]))
-        names = tuple(plain(str(named[i]), metadata.LONGEST_NAME) for i in range(len(named)))
+        names = tuple(plain(str(named[i]), metadata.LONGEST_CLASS_NAME) for i in range(len(named)))
         if not names:
             raise ValueError("no names")
         multiple = metadata.pixels(str(int(float(written["stride"]))))
@@ -244,7 +252,9 @@ def _with_classes(path: str, description: Description, declared: Declared) -> De
             raise ModelError(
                 f"{path}: detector.{key} names {', '.join(missing)}, but its classes are {_listed(description.names)}"
             )
-    wanted = [name.lower() for name in declared.classes] or [name for name in names if name in DRONES]
+    wanted = [name.lower() for name in declared.classes] or [
+        name for name in names if name in DRONE_CLASS_NAMES
+    ]
     drones = frozenset(i for i, name in enumerate(names) if name in wanted)
     if not drones and len(names) == 1:
         drones = frozenset({0})

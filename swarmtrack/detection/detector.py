@@ -35,9 +35,9 @@ USUAL_ATTENTION = AttentionParameters()
 # Frames over which latency is reported: about ten seconds of video.
 LATENCY_FRAMES = 256
 # px: sides of an image that make sense.
-SMALLEST, LARGEST = 8, 8192
+SMALLEST_INPUT_PX, LARGEST_INPUT_PX = 8, 8192
 # Score from which on a candidate is looked at again, by the second stage or for what moved.
-LEAST = min(motion_cue.LEAST, second_stage.LEAST)
+LEAST_DETECTION_SCORE = min(motion_cue.MOTION_LEAST_SCORE, second_stage.SECOND_STAGE_LEAST_SCORE)
 
 
 class Percentiles(NamedTuple):
@@ -57,7 +57,7 @@ class Latency(NamedTuple):
     post: Percentiles
 
 
-NOBODY = np.empty((0, 6))
+NO_BOXES = np.empty((0, 6))
 
 
 class Look(NamedTuple):
@@ -67,7 +67,7 @@ class Look(NamedTuple):
     frame: Frame
     windows: tuple[Window, ...]
     comparison: Comparison | None
-    expected: Array = NOBODY
+    expected: Array = NO_BOXES
 
 
 class _LookedAgain(NamedTuple):
@@ -209,7 +209,7 @@ class Detector:
         height, width = image.shape[:2]
         scale = self._net.scale_of(width, height, self._input_scale)
         windows = [Window(0, 0, width, height, scale)]
-        comparison, expected = None, NOBODY
+        comparison, expected = None, NO_BOXES
         memory = self._memory(frame.camera)
         if expectation is not None:
             guided = self._look == "guided" or (self._look == "auto" and scale < 1.0)
@@ -272,7 +272,7 @@ class Detector:
         the seconds (3,) that it took."""
         threshold, image = self.score_threshold, look.frame.image
         alone = look.comparison is None and self._second is None
-        least = threshold if alone else min(threshold, LEAST)
+        least = threshold if alone else min(threshold, LEAST_DETECTION_SCORE)
         whole = (image.shape[1], image.shape[0])
         spent = np.zeros(3)
         parts = []
@@ -307,7 +307,7 @@ class Detector:
         score = np.where(alone, found.score, judged.score)
         resize = np.where(alone, 1.0, judged.resize)  # what it takes for no drone has no span
         shown_from = np.where(alone, self._alone_threshold, self.score_threshold)
-        least = shown_from if look.comparison is None else np.minimum(shown_from, LEAST)
+        least = shown_from if look.comparison is None else np.minimum(shown_from, LEAST_DETECTION_SCORE)
         order = np.argsort(-score, kind="stable")
         order = order[(score >= least)[order]]
         return _LookedAgain(
@@ -365,13 +365,13 @@ def _near(expected: Array, centre: Array) -> NDArray[np.bool_]:
 
 def _unusable(image: NDArray[np.uint8]) -> str:
     """Why an image cannot be looked at, or nothing."""
-    expected = f"expected uint8 (h, w) or (h, w, 3), sides of {SMALLEST} to {LARGEST} px"
+    expected = f"expected uint8 (h, w) or (h, w, 3), sides of {SMALLEST_INPUT_PX} to {LARGEST_INPUT_PX} px"
     found = f"frame of shape {image.shape}, {image.dtype}"
     shaped = image.ndim == 2 or (image.ndim == 3 and image.shape[2] in (1, 3))
     if (
         image.dtype != np.uint8
         or not shaped
-        or not all(SMALLEST <= side <= LARGEST for side in image.shape[:2])
+        or not all(SMALLEST_INPUT_PX <= side <= LARGEST_INPUT_PX for side in image.shape[:2])
     ):
         return f"{found} dropped, {expected}"
     return ""

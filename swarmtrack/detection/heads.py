@@ -19,8 +19,8 @@ from swarmtrack.messages import Array
 
 Output = NDArray[Any]
 
-LARGEST = 2000.0  # px: a size beyond this is nonsense, and its exponential may overflow
-MOST = 1000  # candidates that are looked at further: the best
+LARGEST_BOX_PX = 2000.0  # px: a size beyond this is nonsense, and its exponential may overflow
+MOST_HEAD_BOXES = 1000  # candidates that are looked at further: the best
 HALF_A_PIXEL = 0.5
 SAME_DRONE = 0.5  # of its longer side: centres in two looks at one drone that are nearer
 
@@ -55,7 +55,7 @@ def centernet(outputs: Sequence[Output], net: Description, threshold: float, _: 
     is_peak = (heat >= cv2.dilate(heat, np.ones((3, 3), np.uint8))) & (heat >= threshold)
     rows, columns = np.nonzero(is_peak)
     cells = np.stack([columns, rows], axis=1) + offset[:, rows, columns].T
-    log_largest = np.log(LARGEST / net.stride)
+    log_largest = np.log(LARGEST_BOX_PX / net.stride)
     size = np.exp(np.clip(log_size[:, rows, columns].T, -log_largest, log_largest)) * net.stride
     only = np.zeros(len(rows), np.intp)
     return _best_first(cells * net.stride, size, heat[rows, columns], only)
@@ -130,8 +130,8 @@ def _of_classes(boxes: Output, scores: Output, threshold: float) -> Candidates:
 
 
 def _best_first(centre: Output, size: Output, score: Output, label: NDArray[np.intp]) -> Candidates:
-    order = np.argsort(-score, kind="stable")[:MOST]
-    clipped = np.clip(size[order], 0.0, LARGEST)
+    order = np.argsort(-score, kind="stable")[:MOST_HEAD_BOXES]
+    clipped = np.clip(size[order], 0.0, LARGEST_BOX_PX)
     return Candidates(
         centre[order].astype(float), clipped.astype(float), score[order].astype(float), label[order]
     )

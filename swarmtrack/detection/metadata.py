@@ -8,13 +8,13 @@ from typing import Any, TypeVar
 
 from swarmtrack.errors import ModelError
 from swarmtrack.plain_text import plain
-from swarmtrack.relative.box_width import LIMITS, BoxWidth
+from swarmtrack.relative.box_width import BOX_WIDTH_BOUNDS, BoxWidth
 
 PREFIX = "swarmtrack."
 LONGEST_ENTRY = 64 << 10  # characters: a thousand classes take half of it
-LONGEST_NAME, SHOWN = 64, 120  # characters
-COARSEST = 1024  # px of a stride
-LARGEST = 1e6
+LONGEST_CLASS_NAME, METADATA_SHOWN = 64, 120  # characters
+COARSEST_STRIDE_PX = 1024  # px of a stride
+LARGEST_METADATA_NUMBER = 1e6
 UNREADABLE = (ValueError, TypeError, KeyError, SyntaxError, RecursionError, OverflowError, MemoryError)
 
 T = TypeVar("T")
@@ -63,11 +63,11 @@ def bounded(text: str) -> str:
 
 
 def quoted(text: str) -> str:
-    return plain(repr(text[:SHOWN]), SHOWN)
+    return plain(repr(text[:METADATA_SHOWN]), METADATA_SHOWN)
 
 
 def pixels(text: str) -> int:
-    if not 1 <= (value := int(text)) <= COARSEST:
+    if not 1 <= (value := int(text)) <= COARSEST_STRIDE_PX:
         raise ValueError(text)
     return value
 
@@ -86,7 +86,7 @@ def fraction(text: str) -> float:
 
 def number(value: Any) -> float:
     # NaN is within no bounds.
-    if not abs(result := float(value)) <= LARGEST:
+    if not abs(result := float(value)) <= LARGEST_METADATA_NUMBER:
         raise ValueError(value)
     return result
 
@@ -120,7 +120,7 @@ def names(text: str) -> tuple[str, ...]:
     listed: Any = json.loads(text)
     if not isinstance(listed, list) or not listed or not all(isinstance(name, str) for name in listed):
         raise ValueError(text)
-    return tuple(plain(name, LONGEST_NAME) for name in listed)
+    return tuple(plain(name, LONGEST_CLASS_NAME) for name in listed)
 
 
 def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
@@ -131,8 +131,8 @@ def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
     try:
         return BoxWidth(**json.loads(bounded(text)))
     except UNREADABLE as error:
-        found, why = quoted(text), plain(str(error), SHOWN)
+        found, why = quoted(text), plain(str(error), METADATA_SHOWN)
         raise ModelError(
             f"{path}: metadata {PREFIX}box_width is {found} ({why}), expected a JSON object of "
-            f"{', '.join(LIMITS)}"
+            f"{', '.join(BOX_WIDTH_BOUNDS)}"
         ) from None

@@ -30,17 +30,17 @@ from swarmtrack.detection.heads import Candidates
 from swarmtrack.messages import Array, Frame, Image
 
 # Between the frames: long enough for a drone to move, short enough for the gyro.
-APART_S = 0.09
+MOTION_FRAMES_APART_S = 0.09
 # After which the light, the clouds and our own place are others.
-LONGEST_S = 0.5
+MOTION_LONGEST_GAP_S = 0.5
 # Score from which on a candidate is looked at.
-LEAST = 0.15
+MOTION_LEAST_SCORE = 0.15
 # Score that motion must have made of one which the net alone would not have shown.
-SURE = 0.5
+MOTION_SURE_SCORE = 0.5
 # Ratio up to which nothing has moved.
-STILL = 2.0
+MOTION_STILL_RATIO = 2.0
 # Grey levels: of change that is none.
-GREY = 2.0
+MOTION_GREY_LEVELS = 2.0
 # px: half of what is looked at around a candidate, at least and at most.
 SIDES = (8, 60)
 # px around a box that belong neither to it nor to what is around it.
@@ -49,7 +49,7 @@ RIM = 2.0
 BLUR = 1.0
 MESH_PX = 32.0
 # px: outside of any image.
-NOWHERE = -1e4
+OUTSIDE_PICTURE_PX = -1e4
 # A turn that moves no pixel further is none.
 STANDS_PX = 0.05
 # Frames: a camera of up to 700 Hz still finds one that is old enough.
@@ -79,10 +79,10 @@ class MotionCue:
         how the camera has turned since. Changes nothing."""
         earlier = None
         for kept in self._kept:
-            if earlier is not None and kept.t > t - APART_S:
+            if earlier is not None and kept.t > t - MOTION_FRAMES_APART_S:
                 break
             earlier = kept
-        if earlier is None or not APART_S <= t - earlier.t <= LONGEST_S:
+        if earlier is None or not MOTION_FRAMES_APART_S <= t - earlier.t <= MOTION_LONGEST_GAP_S:
             return None
         pixels_then = expectation.pixels_at(earlier.t, t)
         return None if pixels_then is None else Comparison(earlier.grey, pixels_then)
@@ -105,7 +105,7 @@ class MotionCue:
             ratio = np.array([_ratio(changes, *box) for box in boxes])
         odds = found.score / np.maximum(1.0 - found.score, 1e-9) * ratio
         score = np.where(ratio > 1.0, odds / (1.0 + odds), found.score)
-        shown = (found.score >= threshold) | (score >= np.maximum(threshold, SURE))
+        shown = (found.score >= threshold) | (score >= np.maximum(threshold, MOTION_SURE_SCORE))
         order = np.argsort(-score, kind="stable")
         order = order[shown[order]]
         return order, score[order]
@@ -115,7 +115,7 @@ class MotionCue:
         if self._kept and (t <= self._kept[-1].t or self._kept[-1].grey.shape != grey.shape):
             self._kept.clear()
         self._kept.append(_Kept(t, grey))
-        while len(self._kept) > 1 and self._kept[1].t <= t - APART_S:
+        while len(self._kept) > 1 and self._kept[1].t <= t - MOTION_FRAMES_APART_S:
             self._kept.popleft()
 
 
@@ -135,7 +135,7 @@ def _moved_into(then: Image, now: Image, pixels_then: PixelMapping) -> Image:
     shifts = pixels_then(mesh) - mesh
     if np.abs(shifts).max() < STANDS_PX:
         return then
-    shifts = np.nan_to_num(shifts, nan=NOWHERE).astype(np.float32)
+    shifts = np.nan_to_num(shifts, nan=OUTSIDE_PICTURE_PX).astype(np.float32)
     u, v = (
         cv2.resize(shift.reshape(columns.shape), (width, height), interpolation=cv2.INTER_LINEAR)
         for shift in shifts.T.copy()
@@ -163,13 +163,13 @@ def _ratio(changes: Sequence[Image], centre: Array, size: Array) -> float:
         if not 0 < inside.size < around.size:
             break
         within = _upper(inside, inside.size)
-        if (within + GREY) / GREY / STILL <= best:
+        if (within + MOTION_GREY_LEVELS) / MOTION_GREY_LEVELS / MOTION_STILL_RATIO <= best:
             continue  # whatever happened around it
         around = around.copy()
         corner = np.maximum(np.rint(centre - half), 0.0)
         around[_slices(centre - corner, *(size / 2 + RIM))] = 0
         beside = _upper(around, around.size - inside.size)
-        best = max(best, (within + GREY) / (beside + GREY) / STILL)
+        best = max(best, (within + MOTION_GREY_LEVELS) / (beside + MOTION_GREY_LEVELS) / MOTION_STILL_RATIO)
     return best
 
 

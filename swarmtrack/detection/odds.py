@@ -6,11 +6,11 @@ import numpy as np
 
 from swarmtrack.messages import Array
 
-SURELY = 1e-6  # a score is not nearer to 0 or 1 than that
+LEAST_PROBABILITY = 1e-6  # a score is not nearer to 0 or 1 than that
 
 
 def logit(score: Array | float) -> Array:
-    clipped = np.clip(score, SURELY, 1.0 - SURELY)
+    clipped = np.clip(score, LEAST_PROBABILITY, 1.0 - LEAST_PROBABILITY)
     return np.asarray(np.log(clipped / (1.0 - clipped)))
 
 

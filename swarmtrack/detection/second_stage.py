@@ -40,11 +40,11 @@ from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array, Image
 from swarmtrack.relative.box_width import BoxWidth
 
-HEAD = "second_stage"
-LEAST = 0.15  # score from which on a candidate is looked at again
-MOST = 16  # candidates of one frame that are looked at again: the best
-SMALLEST = 8.0  # px of the image: no square is smaller
-WIDEST = 16.0  # longer sides of a box that it may be shown
+SECOND_STAGE_HEAD = "second_stage"
+SECOND_STAGE_LEAST_SCORE = 0.15  # score from which on a candidate is looked at again
+SECOND_STAGE_MOST_BOXES = 16  # candidates of one frame that are looked at again: the best
+SECOND_STAGE_SMALLEST_PX = 8.0  # px of the image: no square is smaller
+SECOND_STAGE_MOST_SIDES = 16.0  # longer sides of a box that it may be shown
 LARGEST_SIDE = 256  # px of its input
 RESIZED = 3.0  # times: a box becomes no wider than so often itself, and no narrower
 
@@ -77,13 +77,15 @@ class SecondStage:
         self._session = open_session(path, threads, providers, cache)
         written = self._session.get_modelmeta().custom_metadata_map
         entry = Metadata(str(path), written).entry
-        entry("head", metadata.one_of([HEAD]), HEAD)
-        self.around = entry("around", _extent, f"a positive number, {WIDEST:g} at most")
+        entry("head", metadata.one_of([SECOND_STAGE_HEAD]), SECOND_STAGE_HEAD)
+        self.around = entry("around", _extent, f"a positive number, {SECOND_STAGE_MOST_SIDES:g} at most")
         """Side of the square that it is shown, in longer sides of the box."""
         self.weight, self.offset = entry("fusion", metadata.two, "a JSON list of two numbers")
         self.score_threshold = entry("score_threshold", metadata.fraction, "a number in 0…1")
         """Of both stages' score: from which on a detection is shown."""
-        self._doubt = entry("doubt", metadata.number, f"a number, none beyond {metadata.LARGEST:g}")
+        self._doubt = entry(
+            "doubt", metadata.number, f"a number, none beyond {metadata.LARGEST_METADATA_NUMBER:g}"
+        )
         self.tells_spans = len(self._session.get_outputs()) > 1
         self.box_width = box_width_of(str(path), written) or AS_ANSWERED
         """How wide spans are as it answers them, beside the true ones, and how far they are off."""
@@ -101,14 +103,16 @@ class SecondStage:
         about: nothing speaks for them or against."""
         log_odds, resize = np.zeros(len(found.score)), np.ones(len(found.score))
         if len(log_odds):
-            centre, size = found.centre[:MOST], found.size[:MOST]
-            sides = self.around * np.maximum(size.max(axis=1), SMALLEST)
+            centre, size = found.centre[:SECOND_STAGE_MOST_BOXES], found.size[:SECOND_STAGE_MOST_BOXES]
+            sides = self.around * np.maximum(size.max(axis=1), SECOND_STAGE_SMALLEST_PX)
             answer = self._look(image, centre, sides)
-            log_odds[:MOST] = answer.log_odds
+            log_odds[:SECOND_STAGE_MOST_BOXES] = answer.log_odds
             if answer.span is not None:
                 span = (answer.span * sides - self.box_width.padding_px) / self.box_width.factor
                 width = drawn.factor * span + drawn.padding_px
-                resize[:MOST] = np.clip(width / np.maximum(size[:, 0], 1.0), 1.0 / RESIZED, RESIZED)
+                resize[:SECOND_STAGE_MOST_BOXES] = np.clip(
+                    width / np.maximum(size[:, 0], 1.0), 1.0 / RESIZED, RESIZED
+                )
         score = probability(logit(found.score) + self.weight * log_odds + self.offset)
         return SecondLook(score, resize)
 
@@ -170,6 +174,6 @@ def square(image: Image, centre: Array, side: float, pixels: int) -> Image:
 
 
 def _extent(text: str) -> float:
-    if not 0.0 < (value := metadata.number(text)) <= WIDEST:
+    if not 0.0 < (value := metadata.number(text)) <= SECOND_STAGE_MOST_SIDES:
         raise ValueError(text)
     return value

@@ -16,11 +16,11 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.diagnosis.findings import Finding, fault, ok
 from swarmtrack.formation.parameters import FlightLimits
 
-ARDUPILOT, PX4 = common.MAV_AUTOPILOT_ARDUPILOTMEGA, common.MAV_AUTOPILOT_PX4
+ARDUPILOT_KIND, PX4_KIND = common.MAV_AUTOPILOT_ARDUPILOTMEGA, common.MAV_AUTOPILOT_PX4
 # s: longer nobody shall fly on after its agent.
-LONGEST_S = 1.0
+LONGEST_FLIES_ON_S = 1.0
 # Times our own limit: a runaway shall not be much faster.
-FASTER = 2.0
+RATE_LIMIT_FACTOR = 2.0
 # m beyond the formation's fence, and above it, that the autopilot's own may stand: it is there for what goes wrong.
 WIDER_M = 20.0
 # bits of FENCE_TYPE: highest altitude, circle; of COM_RC_OVERRIDE: sticks end OFFBOARD.
@@ -65,11 +65,11 @@ def _has_bits(bits: int) -> Callable[[float, Asked], bool]:
 
 
 def _speed(asked: Asked) -> float:
-    return FASTER * asked.limits.speed
+    return RATE_LIMIT_FACTOR * asked.limits.speed
 
 
 def _climb(asked: Asked) -> float:
-    return FASTER * asked.limits.climb
+    return RATE_LIMIT_FACTOR * asked.limits.climb
 
 
 def _radius(asked: Asked) -> float:
@@ -82,9 +82,13 @@ def _ceiling(asked: Asked) -> float:
 
 FLIES_ON = "a drone whose agent and guard have died flies on for as long"
 DEMANDS: dict[int, tuple[Demand, ...]] = {
-    ARDUPILOT: (
+    ARDUPILOT_KIND: (
         Demand(
-            {"GUID_TIMEOUT": 1.0}, _at_most(lambda asked: LONGEST_S), lambda asked: LONGEST_S, FLIES_ON, " s"
+            {"GUID_TIMEOUT": 1.0},
+            _at_most(lambda asked: LONGEST_FLIES_ON_S),
+            lambda asked: LONGEST_FLIES_ON_S,
+            FLIES_ON,
+            " s",
         ),
         Demand({"FENCE_ENABLE": 1.0}, _one_of(1), lambda asked: 1.0, "no fence of its own is on"),
         Demand({"FENCE_ACTION": 1.0}, _one_of(*range(1, 9)), lambda asked: 1.0, "its fence only reports"),
@@ -104,9 +108,13 @@ DEMANDS: dict[int, tuple[Demand, ...]] = {
             " m/s",
         ),
     ),
-    PX4: (
+    PX4_KIND: (
         Demand(
-            {"COM_OF_LOSS_T": 1.0}, _at_most(lambda asked: LONGEST_S), lambda asked: LONGEST_S, FLIES_ON, " s"
+            {"COM_OF_LOSS_T": 1.0},
+            _at_most(lambda asked: LONGEST_FLIES_ON_S),
+            lambda asked: LONGEST_FLIES_ON_S,
+            FLIES_ON,
+            " s",
         ),
         Demand(
             {"COM_OBL_RC_ACT": 1.0},

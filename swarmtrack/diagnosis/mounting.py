@@ -10,14 +10,14 @@ import numpy as np
 from swarmtrack.config.drone import MountedCamera
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
 from swarmtrack.geometry import rotation
-from swarmtrack.geometry.camera import WIDEST, PinholeCamera
+from swarmtrack.geometry.camera import WIDEST_LENS_RAD, PinholeCamera
 from swarmtrack.messages import Array
 from swarmtrack.motion.hand_eye import Agreement, HandEye
 
 ASPECT, CENTRE, FIELD_DEG = 0.05, 0.15, (15.0, 160.0)
 UNREACHED = 0.02  # share of the border beyond the lens model's reach
 FARTHEST_MOUNT = 1.5  # m
-TURNED = 0.15  # rad/s about an axis, for the image to say anything of it
+TELLING_TURN_RATE_RAD_S = 0.15  # rad/s about an axis, for the image to say anything of it
 WRONG_SIGN, WEAK_GAIN = -0.3, 0.5
 ROTATION_OFF_DEG, OFFSET_OFF_S = 5.0, 0.015
 SURE_ROTATION_DEG, SURE_OFFSET_S = 2.0, 0.005
@@ -55,7 +55,7 @@ def check_calibration(facts: MountFacts) -> list[Finding]:
     if off.max() > CENTRE:
         findings.append(fault("calibration.centre", percent=100.0 * float(off.max())))
     field = _field_deg(camera)
-    widest = math.degrees(2.0 * WIDEST) if camera.is_wide else FIELD_DEG[1]
+    widest = math.degrees(2.0 * WIDEST_LENS_RAD) if camera.is_wide else FIELD_DEG[1]
     if not FIELD_DEG[0] <= field <= widest:
         findings.append(fault("calibration.field", degrees=field))
     share = _unreached(camera)
@@ -107,7 +107,7 @@ def check_motion(facts: MotionFacts, mounted: MountedCamera | None) -> list[Find
         return [
             skipped("motion", f"image against gyro was not checked: {facts.reason or 'no frames or no gyro'}")
         ]
-    turned = agreement.rate > TURNED
+    turned = agreement.rate > TELLING_TURN_RATE_RAD_S
     if not turned.any():
         return [
             skipped(
@@ -158,7 +158,7 @@ def _field_deg(camera: PinholeCamera) -> float:
 
 def _unreached(camera: PinholeCamera) -> float:
     """Share of the image's border where the lens model has no answer."""
-    if camera.is_wide and camera.reach >= WIDEST:
+    if camera.is_wide and camera.reach >= WIDEST_LENS_RAD:
         # Beyond the circle of a fisheye its image is dark.
         return 0.0
     n = 33

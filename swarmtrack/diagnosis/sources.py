@@ -15,18 +15,18 @@ import numpy as np
 from swarmtrack.autopilot.address import parse_address
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
 from swarmtrack.errors import SourceError
+from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.messages import Array, LinkStatus, StampKind
 
-LATE_MS = 150.0  # of a frame at arrival
+FRAME_LATE_MS = 150.0  # of a frame at arrival
 DAMAGED = 0.02  # share of frames
 BLANK = 2.0  # standard deviation of brightness, of 255
-ENOUGH = 0.8  # of a rate asked for
+RATE_ENOUGH_SHARE = 0.8  # of a rate asked for
 LEAST_GYRO_HZ = 50.0  # below, a turn within a sample moves tracks by more than their own size
-LOST = 0.01  # share of gyro samples
+LOST_GYRO_SHARE = 0.01  # share of gyro samples
 CLOCK_SIGMA_MS = 10.0
 UNSTEADY_RESTARTS = 3  # of the map of the autopilot's clock: one is a clock that was set
 AUTOPILOTS = {3.0: "ArduPilot", 12.0: "PX4"}  # by MAVLink's MAV_AUTOPILOT
-STANDARD_GRAVITY = 9.80665  # m/s²
 UPSIDE_DOWN_DEG, TILTED_DEG = 120.0, 10.0
 GRAVITY_OFF = 1.0  # m/s²
 STILL_ACCELERATION = 0.5  # m/s², standard deviation: more is a drone in somebody's hands
@@ -146,10 +146,10 @@ def check_camera(facts: CameraFacts) -> list[Finding]:
     if facts.live and age_ms > 1e3 * facts.max_age_s:
         return [fault("camera.stale", age_ms=age_ms, limit_s=facts.max_age_s)]
     findings = []
-    if facts.live and age_ms > LATE_MS:
+    if facts.live and age_ms > FRAME_LATE_MS:
         findings.append(fault("camera.late", age_ms=age_ms))
     got_hz = numbers.get("fps", 0.0)
-    if facts.live and facts.asked_hz and 0.0 < got_hz < ENOUGH * facts.asked_hz:
+    if facts.live and facts.asked_hz and 0.0 < got_hz < RATE_ENOUGH_SHARE * facts.asked_hz:
         findings.append(fault("camera.slow", got_hz=got_hz, asked_hz=facts.asked_hz))
     corrupt = numbers.get("corrupt", 0.0)
     if corrupt > DAMAGED * (corrupt + numbers.get("frames", 0.0)):
@@ -192,11 +192,11 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
     findings = []
     asked_hz = numbers.get("imu_rate_asked_hz", 0.0)
     got_hz = numbers.get("imu_rate_hz", 0.0) if facts.got_hz is None else facts.got_hz
-    if facts.live and 0.0 < got_hz < ENOUGH * asked_hz:
+    if facts.live and 0.0 < got_hz < RATE_ENOUGH_SHARE * asked_hz:
         slow = "autopilot.too_slow" if got_hz < min(LEAST_GYRO_HZ, asked_hz) * 0.95 else "autopilot.slow"
         findings.append(fault(slow, setting=setting, got_hz=got_hz, asked_hz=asked_hz))
     samples, lost = numbers.get("imu_samples", 0.0), numbers.get("imu_lost", 0.0)
-    if lost > LOST * (samples + lost):
+    if lost > LOST_GYRO_SHARE * (samples + lost):
         findings.append(fault("autopilot.losing", setting=setting, share=lost / (samples + lost)))
     if foreign := numbers.get("foreign_datagrams", 0.0):
         findings.append(fault("autopilot.strangers", count=foreign))
@@ -256,7 +256,7 @@ def check_imu(facts: ImuFacts) -> list[Finding]:
     if from_level > UPSIDE_DOWN_DEG:
         return [fault("imu.upside_down", angle_deg=from_level)]
     findings = []
-    if still and abs(norm - STANDARD_GRAVITY) > GRAVITY_OFF:
+    if still and abs(norm - STANDARD_GRAVITY_M_S2) > GRAVITY_OFF:
         findings.append(fault("imu.gravity", norm=norm))
     if len(facts.attitudes):
         told = -facts.attitudes[:, 2, :].mean(axis=0)  # the world's up, in body axes

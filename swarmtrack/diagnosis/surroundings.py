@@ -10,7 +10,7 @@ from pathlib import Path
 from swarmtrack.diagnosis.findings import Finding, Level, fault, ok, skipped
 
 CLOCKS_APART = 2.0  # s: more than announcements take on their way
-EXPIRES_SOON = 14.0  # days
+EXPIRES_SOON_DAYS = 14.0  # days
 FULL_MB, LOW_MB = 50.0, 1000.0
 HOT = 80.0  # °C
 # Bits of the Raspberry Pi's get_throttled: what holds now, and what held since it was switched on.
@@ -111,7 +111,7 @@ def check_network(facts: NetworkFacts) -> list[Finding]:
         )
         return [fault(name, reason=facts.keys_refused)]
     findings = []
-    if facts.expires_days is not None and facts.expires_days < EXPIRES_SOON:
+    if facts.expires_days is not None and facts.expires_days < EXPIRES_SOON_DAYS:
         findings.append(fault("keys.soon", days=facts.expires_days, date=facts.expires))
     if facts.multicast and facts.multicast[1]:
         interface, reason = facts.multicast

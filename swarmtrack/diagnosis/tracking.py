@@ -12,7 +12,7 @@ from swarmtrack.tracking.noise import MeasuredNoise
 NOISY = 2.0  # times the standard deviation that was told, from which on a camera or its detector is not as they should
 # Of the normalised innovation squared over its expectation. Twice too sure, or three times too careful, in sigmas: then
 # a planner that trusts the covariance is misled.
-SURE, CAREFUL = 4.0, 1.0 / 9.0
+NIS_OVERCONFIDENT_RATIO, NIS_CAUTIOUS_RATIO = 4.0, 1.0 / 9.0
 
 
 def ratio_of(consistency: Consistency) -> float:
@@ -34,8 +34,8 @@ def check_tracking(consistency: Consistency | None, noise: MeasuredNoise | None)
     if consistency is None:
         return findings
     ratio = ratio_of(consistency)
-    if ratio >= SURE:
+    if ratio >= NIS_OVERCONFIDENT_RATIO:
         findings.append(fault("tracking.sure", times=ratio**0.5))
-    elif ratio <= CAREFUL:
+    elif ratio <= NIS_CAUTIOUS_RATIO:
         findings.append(fault("tracking.careful", times=max(ratio, 1e-4) ** -0.5))
     return findings

@@ -17,7 +17,7 @@ from swarmtrack.runtime.assembly import make_autopilot
 from swarmtrack.sources import Autopilot
 
 # s: at most; a heartbeat comes each second, and what is not told is asked for four times.
-WITHIN_S = 6.0
+DOCTOR_WITHIN_S = 6.0
 
 
 def limits_reader(config: DroneConfig, autopilot: Autopilot | None) -> ParameterReader | None:
@@ -36,7 +36,7 @@ def judged(config: DroneConfig, told: ParameterReader) -> list[Finding]:
     return [] if place is None else check_limits(told.kind, told.values, Asked(place.limits, -place.down))
 
 
-async def read_limits(config: DroneConfig, clock: Clock, seconds: float = WITHIN_S) -> list[Finding]:
+async def read_limits(config: DroneConfig, clock: Clock, seconds: float = DOCTOR_WITHIN_S) -> list[Finding]:
     """Of a drone that has a place in a formation; nothing is written to its autopilot."""
     if config.formation.parameters(config.drone.id) is None:
         return [skipped("limits", "this drone follows nobody: nobody but its pilot flies it")]

@@ -26,7 +26,7 @@ from swarmtrack.motion.hand_eye import compare, solve
 from swarmtrack.runtime.assembly import make_autopilot, make_camera
 from swarmtrack.sources import Autopilot, Camera, DetectionSource, SimulatedSources
 
-RECORDINGS = ("file", "images")
+RECORDED_SOURCES = ("file", "images")
 RATE_OVER = 2.0  # s: the last samples, by which a rate is told
 LEAST_GYRO_SAMPLES = 50
 
@@ -105,7 +105,7 @@ class CameraWatch:
             size=None if frame is None else (frame.image.shape[1], frame.image.shape[0]),
             stamps=frozenset(self._stamps),
             shade=None if frame is None else _shade(frame),
-            live=address is None or address.scheme not in RECORDINGS,
+            live=address is None or address.scheme not in RECORDED_SOURCES,
         )
         return WatchedCamera(facts, await asyncio.to_thread(self._compared, heard), frame)
 

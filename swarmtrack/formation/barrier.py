@@ -29,7 +29,7 @@ from swarmtrack.formation.margins import (
     SIDESTEP_SPEED_M_S,
     STRAIGHT_ON_M,
 )
-from swarmtrack.formation.setpoint import STILL, Velocity
+from swarmtrack.formation.setpoint import STANDSTILL, Velocity
 
 
 class HalfSpace(NamedTuple):
@@ -70,15 +70,15 @@ def sidestep(place: Velocity, motion: Velocity, lasts: float = COMING_WITHIN_S) 
     vn, ve, _ = motion
     square = vn * vn + ve * ve
     if square < COMING_SPEED_M_S**2:
-        return STILL
+        return STANDSTILL
     soon = -(north * vn + east * ve) / square
     if not 0.0 < soon < COMING_WITHIN_S:
-        return STILL
+        return STANDSTILL
     soon = min(soon, lasts)
     pn, pe = north + soon * vn, east + soon * ve
     miss = math.hypot(pn, pe)
     if miss >= PASSING_M:
-        return STILL
+        return STANDSTILL
     speed = SIDESTEP_SPEED_M_S * (1.0 - miss / PASSING_M)
     if miss < STRAIGHT_ON_M:
         # Its left is a quarter turn back from its course; we stand on it when we go there.

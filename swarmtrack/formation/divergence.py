@@ -33,7 +33,7 @@ from swarmtrack.formation.margins import (
     MODEL_LEVEL_M_S2,
     MODEL_VERTICAL_M_S2,
 )
-from swarmtrack.formation.setpoint import STILL, Velocity
+from swarmtrack.formation.setpoint import STANDSTILL, Velocity
 
 
 class _Off(NamedTuple):
@@ -48,10 +48,10 @@ class DivergenceWatch:
     """Told of each command and of how the drone flies then; `doubt` says where both differ for seconds."""
 
     def __init__(self) -> None:
-        self.difference: Velocity = STILL
+        self.difference: Velocity = STANDSTILL
         """m/s: flown less told, averaged."""
         self._t: float | None = None
-        self._expected: Velocity = STILL
+        self._expected: Velocity = STANDSTILL
         self._demand = 0.0
         self._said = False
         self._agrees_since: float | None = None

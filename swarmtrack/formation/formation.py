@@ -65,18 +65,18 @@ from swarmtrack.formation.obstacles import Obstacle, obstacles
 from swarmtrack.formation.out_of_sight import OutOfSight
 from swarmtrack.formation.parameters import FlightLimits, FormationParameters
 from swarmtrack.formation.references import ReferenceWatch
-from swarmtrack.formation.setpoint import NO_SWAY, STILL, OwnFlight, Setpoint, Velocity, Why
+from swarmtrack.formation.setpoint import NO_SWAY, STANDSTILL, OwnFlight, Setpoint, Velocity, Why
 from swarmtrack.formation.squeezed import best_of, least_closing, no_faster_than_asked
 from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
 # What a busy computer or link delays for a moment: only where it lasts `LATE_INPUT_LASTS_S` it costs the references
 # their trust.
-LATE = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA)
+LATE_INPUTS = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA)
 
 # Where one of these holds it, what the autopilot says of its velocity is not how it flies.
 MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)
 
-HOLDS = {
+HOLD_TEXTS = {
     Why.OWN_POSE: "own position is old",
     Why.VAGUE: f"own position is known worse than {VAGUEST_OWN_PLACE_M:g} m",
     Why.GYRO: "gyro is silent",
@@ -97,7 +97,7 @@ class Berth(NamedTuple):
     hold. slack [m]: how far off its slot it was when nobody was in its way."""
 
     place: Velocity
-    velocity: Velocity = STILL
+    velocity: Velocity = STANDSTILL
     slack: float = 0.0
     holds: bool = False
 
@@ -137,8 +137,8 @@ class Formation:
         """Whether it may be out of its height, since somebody was about to collide with it."""
         self._berth: Berth | None = None
         self._bent_at = -math.inf
-        self._flown = STILL
-        self._followed = STILL
+        self._flown = STANDSTILL
+        self._followed = STANDSTILL
         self._followed_at = -math.inf
         self._yaw_rate = 0.0
         self._out_of_sight = OutOfSight()
@@ -169,9 +169,9 @@ class Formation:
             self._engaged_at = own.position
         error = slot = None
         if why is not None:
-            wanted, text = STILL, HOLDS[why]
+            wanted, text = STANDSTILL, HOLD_TEXTS[why]
         elif doubt is not None:
-            wanted, (why, text) = STILL, doubt
+            wanted, (why, text) = STANDSTILL, doubt
         elif trusted:
             slot = self._law(trusted, states, own)
             wanted, error = slot.wanted, math.hypot(*slot.error)
@@ -242,7 +242,7 @@ class Formation:
 
     def _lasts(self, why: Why | None, t: float) -> bool:
         """Whether what holds it is more than a moment's delay."""
-        if why not in LATE:
+        if why not in LATE_INPUTS:
             self._late_since = None
             return why is not None
         if self._late_since is None:
@@ -315,8 +315,8 @@ class Formation:
             return (share * north, share * east, 0.0), Why.FADE, f"drone {names} is lost: slows down"
         entering = [watch.drone_id for watch in self._watches if watch.entering]
         if entering:
-            return STILL, Why.ENTRY, f"drone {entering[0]} is seen, not for long enough"
-        return STILL, Why.NO_REFERENCE, f"drone {names} is not seen"
+            return STANDSTILL, Why.ENTRY, f"drone {entering[0]} is seen, not for long enough"
+        return STANDSTILL, Why.NO_REFERENCE, f"drone {names} is not seen"
 
     def _with_height(
         self, wanted: Velocity, own: OwnFlight, why: Why, text: str
@@ -329,7 +329,7 @@ class Formation:
         down = min(max(HEIGHT_GAIN_PER_S * off + sways.speed, -climb), climb)
         if not self._at_height:
             self._at_height = abs(off) < AT_HEIGHT_M
-        if why in HOLDS:
+        if why in HOLD_TEXTS:
             return wanted, why, text
         if not self._at_height:
             return (
@@ -379,7 +379,7 @@ class Formation:
         if excess(bent, clear) > BARRIERS_CONTRADICT_M_S:
             closing = [other.not_to_close_in(self.parameters) for other in near]
             if excess(goal, clear) > BARRIERS_CONTRADICT_M_S or excess(bent, closing) > max(
-                excess(STILL, closing), 0.0
+                excess(STANDSTILL, closing), 0.0
             ):
                 bent = self._squeezed(bent, near, closing, clear, held, up_or_down=up_or_down)
         step = stepped(self._flown, bent, limits.evasion * dt, held)
@@ -391,7 +391,7 @@ class Formation:
         # Until nobody is near any more: a height that is left is not fetched back in front of somebody.
         self._escapes = collides is not None or (self._escapes and bool(near))
         if collides is None:
-            return STILL
+            return STANDSTILL
         return way_out(collides, own.position[2], self._room(own), self.parameters.limits.climb)
 
     def _limited(self, velocity: Velocity, held: Sequence[HalfSpace]) -> Velocity:
@@ -421,10 +421,10 @@ class Formation:
         # Nobody is drawn back within the fence, or to its slot, into another.
         may = [space._replace(bound=max(space.bound, 0.0)) for space in held]
         climb = [HalfSpace((0.0, 0.0, sense), limits.climb) for sense in (1.0, -1.0)]
-        aside = added(_aside(near, STILL), up_or_down)
+        aside = added(_aside(near, STANDSTILL), up_or_down)
         least = least_closing(aside, closing, may + climb, limits.speed)
         least = self._limited(nearest_velocity(least, may), may)
-        return best_of((no_faster_than_asked(least, clear), least, compromise, STILL), closing)
+        return best_of((no_faster_than_asked(least, clear), least, compromise, STANDSTILL), closing)
 
     def _room(self, own: OwnFlight) -> FreeHeights:
         """Of heights, to escape to."""
@@ -485,16 +485,16 @@ class Formation:
 
     def _brake(self, t: float, dt: float, why: Why) -> Setpoint:
         """To a stop, by nothing but the last command."""
-        self._flown = towards(self._flown, STILL, self.parameters.limits.acceleration * dt)
+        self._flown = towards(self._flown, STANDSTILL, self.parameters.limits.acceleration * dt)
         self._yaw_rate = self._slewed_rate(0.0, dt)
-        return Setpoint(t, self._flown, self._yaw_rate, why, HOLDS[why])
+        return Setpoint(t, self._flown, self._yaw_rate, why, HOLD_TEXTS[why])
 
 
 def _aside(near: Sequence[Obstacle], wanted: Velocity, slot: SlotFlight | None = None) -> Velocity:
     """m/s: out of the way of those who come. To whom is retreating from them nobody comes: what counts is what would be
     flown if nobody were in the way. To those who stand, as the slot does, this drone comes no nearer than its slot is:
     on its way there it does not turn about one who stands behind it."""
-    aside = STILL
+    aside = STANDSTILL
     for other in near:
         north, east, down = (flies - wants for flies, wants in zip(other.velocity, wanted, strict=True))
         lasts = COMING_WITHIN_S

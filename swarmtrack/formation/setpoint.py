@@ -11,7 +11,7 @@ from swarmtrack.formation.margins import FARTHEST_FROM_ORIGIN_M, FASTEST_OWN_SPE
 from swarmtrack.relative.heights import HeightSight
 
 Velocity = tuple[float, float, float]
-STILL: Velocity = (0.0, 0.0, 0.0)
+STANDSTILL: Velocity = (0.0, 0.0, 0.0)
 
 
 class Why(enum.StrEnum):

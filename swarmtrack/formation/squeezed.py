@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from swarmtrack.formation.barrier import HalfSpace, excess
 from swarmtrack.formation.law import dot, saturated
 from swarmtrack.formation.margins import SQUEEZE_REACH_M_S, SQUEEZE_SWEEPS, SQUEEZE_TOLERANCE_M_S
-from swarmtrack.formation.setpoint import STILL, Velocity
+from swarmtrack.formation.setpoint import STANDSTILL, Velocity
 
 
 def least_closing(
@@ -30,7 +30,7 @@ def least_closing(
     # At most so fast no other limit is met.
     fixed = [(*space.normal, space.bound) for space in limits if space.bound < fastest]
     pushed, held = [0.0] * len(rows), [0.0] * len(fixed)
-    back = STILL
+    back = STANDSTILL
     for _ in range(SQUEEZE_SWEEPS):
         most = 0.0
         # Spelled out as in `nearest_velocity`, and for the same reason.

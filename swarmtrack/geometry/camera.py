@@ -7,7 +7,8 @@ Three planes, and names that keep them apart:
     normalised --distortion--> --K-->     *distorted* pixels: the image as the camera gives it
 
 The chart (`charts.py`) of an ordinary lens is the tangent plane, (x/z, y/z): "pinhole". That of a wide one, an
-equidistant lens whose image shows more than `WIDE` off its axis, is stereographic, and reaches behind the camera.
+equidistant lens whose image shows more than `WIDE_LENS_RAD` off its axis, is stereographic, and reaches behind the
+camera.
 
 The camera looks along z, x right, y down; pixel centres are integers, origin top left. What has no
 counterpart on the other side (a point behind the camera, a pixel beyond the lens model's reach) comes back as
@@ -32,9 +33,9 @@ Mask = NDArray[np.bool_]
 MAX_ANGLE = Gnomonic.reach  # rad off the axis: ideal pixels run to infinity at 90 degrees
 # rad off the axis: an image that shows more in its corners is a wide lens'. There the tangent plane has stretched by
 # 33 along the radius.
-WIDE = math.radians(80.0)
+WIDE_LENS_RAD = math.radians(80.0)
 # rad off the axis: farther out no lens is believed. Of a fisheye whose circle ends before, the rest is dark.
-WIDEST = math.radians(110.0)
+WIDEST_LENS_RAD = math.radians(110.0)
 MIN_SLOPE = 0.01  # of distorted over ideal radius: less, and the lens folds or errors grow a hundredfold
 NEWTON_STEPS = 20  # from the table's start, 3 to 6 are taken
 LAST_STEP = 1e-9  # the iteration squares its error, so what is left after such a step is rounding
@@ -236,7 +237,7 @@ class WideLens:
     @cached_property
     def table(self) -> tuple[Array, Array]:
         """Angles and distorted radii of all that is believed of it."""
-        return self.lens.rising(WIDEST)
+        return self.lens.rising(WIDEST_LENS_RAD)
 
     @property
     def reach(self) -> float:
@@ -267,7 +268,7 @@ class Framed(NamedTuple):
 @dataclass(frozen=True)
 class PinholeCamera:
     """Intrinsics [px] for images of width x height pixels, and the lens' distortion (None: ideal pinhole). With an
-    equidistant one it may be as wide as `WIDEST`."""
+    equidistant one it may be as wide as `WIDEST_LENS_RAD`."""
 
     fx: float
     fy: float
@@ -322,15 +323,15 @@ class PinholeCamera:
 
     @cached_property
     def is_wide(self) -> bool:
-        """Whether the image's farthest corner shows more than `WIDE` off the axis, so that undistorted pixels are
-        stereographic ones."""
+        """Whether the image's farthest corner shows more than `WIDE_LENS_RAD` off the axis, so that undistorted pixels
+        are stereographic ones."""
         if not isinstance(self.distortion, Equidistant):
             return False
         low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
         centre, focal = np.array([self.cx, self.cy]), np.array([self.fx, self.fy])
         corner = float(np.linalg.norm(np.maximum(centre - low, high - centre) / focal))
-        angles, radii = self.distortion.rising(WIDE)
-        return bool(angles[-1] == WIDE and radii[-1] < corner)
+        angles, radii = self.distortion.rising(WIDE_LENS_RAD)
+        return bool(angles[-1] == WIDE_LENS_RAD and radii[-1] < corner)
 
     @cached_property
     def chart(self) -> Chart:

@@ -25,7 +25,7 @@ from swarmtrack.messages import Array
 # A direction that turns further off the axis than this cosine-like depth leaves every image; beyond it the plane would
 # fold over or run to infinity, so it is held there: far outside, finite, soon dropped.
 MIN_DEPTH = 0.05
-FAR = 100.0  # focal lengths off the axis, where the tangent of 89 degrees is 57
+FARTHEST_IMAGE_POINT = 100.0  # focal lengths off the axis, where the tangent of 89 degrees is 57
 
 
 class Turned(NamedTuple):
@@ -233,7 +233,7 @@ class Gnomonic(Chart):
         length = np.hypot(ray[0], ray[1])
         way = np.where(length > 0.0, ray / np.where(length > 0.0, length, 1.0), [[1.0], [0.0]])
         far = np.full_like(h, MIN_DEPTH)
-        far[:2] *= centre + FAR * focal * way
+        far[:2] *= centre + FARTHEST_IMAGE_POINT * focal * way
         return far
 
     def per_radian(self, pixels: Array) -> Array:
@@ -247,7 +247,7 @@ class Gnomonic(Chart):
 
     def radial(self, squared: Array) -> tuple[Array, Array, Array]:
         """tan θ = t / (1 − t²/4), of t = 2 tan(θ/2); what is not ahead is held far outside."""
-        ahead = np.maximum(1.0 - squared / 4.0, 1.0 / FAR)
+        ahead = np.maximum(1.0 - squared / 4.0, 1.0 / FARTHEST_IMAGE_POINT)
         return 1.0 / ahead, 0.25 / ahead**2, 0.125 / ahead**3
 
 

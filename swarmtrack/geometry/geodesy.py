@@ -14,9 +14,11 @@ import numpy as np
 
 from swarmtrack.messages import Array
 
-SEMI_MAJOR = 6_378_137.0  # m, WGS-84
-FLATTENING = 1.0 / 298.257223563
-ECCENTRICITY_SQUARED = FLATTENING * (2.0 - FLATTENING)
+# Standard gravity (CGPM 1901).
+STANDARD_GRAVITY_M_S2 = 9.80665
+EARTH_SEMI_MAJOR_M = 6_378_137.0  # m, WGS-84
+EARTH_FLATTENING = 1.0 / 298.257223563
+ECCENTRICITY_SQUARED = EARTH_FLATTENING * (2.0 - EARTH_FLATTENING)
 CONVERGED = 1e-12  # rad of latitude: 6 µm on the ground
 
 
@@ -35,7 +37,7 @@ class Geodetic(NamedTuple):
 def to_ecef(place: Geodetic) -> Array:
     """Earth-centred, Earth-fixed coordinates (3,) m: x to 0° N 0° E, z to the north pole."""
     sin, cos = math.sin(place.latitude), math.cos(place.latitude)
-    radius = SEMI_MAJOR / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin**2)  # of curvature, east to west
+    radius = EARTH_SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin**2)  # of curvature, east to west
     out = (radius + place.height) * cos
     return np.array(
         (
@@ -70,12 +72,12 @@ def from_ned(position: Array, origin: Geodetic) -> Geodetic:
     latitude = math.atan2(z, out * (1.0 - ECCENTRICITY_SQUARED))
     while True:
         sin = math.sin(latitude)
-        radius = SEMI_MAJOR / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin**2)
+        radius = EARTH_SEMI_MAJOR_M / math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin**2)
         better = math.atan2(z + ECCENTRICITY_SQUARED * radius * sin, out)
         if abs(better - latitude) < CONVERGED:
             break
         latitude = better
     # Along the normal: well conditioned at the poles and at the equator alike.
     sin, cos = math.sin(better), math.cos(better)
-    height = out * cos + z * sin - SEMI_MAJOR * math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin**2)
+    height = out * cos + z * sin - EARTH_SEMI_MAJOR_M * math.sqrt(1.0 - ECCENTRICITY_SQUARED * sin**2)
     return Geodetic(better, math.atan2(y, x), height)

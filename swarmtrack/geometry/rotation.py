@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from swarmtrack.messages import Array
 
+ENU_FROM_NED: Array = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 BODY_FROM_FORWARD_CAMERA: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 """Of a camera (x right, y down, z forward) that looks along the nose: body FRD = [z_cam, x_cam, y_cam]."""
 BODY_FROM_FORWARD_CAMERA.setflags(write=False)

@@ -42,7 +42,7 @@ STAMP_SIGMA = 1e-4  # s: our own stamps are exact, but a filter must not be told
 ANNOUNCED_POSITION_SIGMA = 0.05  # m per axis: a start measured with care
 ANNOUNCED_ATTITUDE_SIGMA = 0.01  # rad per axis
 RESOLUTION = 1e-6  # s
-BATCH = 256  # samples handed over before others on the event loop get their turn
+SIMULATED_SAMPLES_PER_TURN = 256  # samples handed over before others on the event loop get their turn
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +289,7 @@ class SimulatedAutopilot:
         begin = max(timing.world_time(), 0.0)
         sample_index, pose_index = math.ceil(begin * imu_hz), math.ceil(begin * pose_hz)
         while True:
-            for _ in range(BATCH):
+            for _ in range(SIMULATED_SAMPLES_PER_TURN):
                 t_imu, t_pose = sample_index / imu_hz, pose_index / pose_hz
                 t = min(t_imu, t_pose)
                 if t >= timing.seconds:

@@ -13,7 +13,7 @@ from swarmtrack.cameras.field_of_view import around, outline_around
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
-from swarmtrack.monitor.metres import ORIGIN
+from swarmtrack.monitor.metres import RELATIVE_ORIGIN
 from swarmtrack.wire.camera import CameraMessage, OtherCamera, mounting_from
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage
@@ -21,7 +21,7 @@ from swarmtrack.wire.video import VideoMessage
 
 ViewKey = tuple[int, int]
 """A drone's ID, and which of its cameras, from 0."""
-FAR_M = 1e4  # where somebody is whose distance is not known: cameras then sit in one place
+UNKNOWN_DISTANCE_M = 1e4  # where somebody is whose distance is not known: cameras then sit in one place
 
 
 class CameraView(NamedTuple):
@@ -116,7 +116,7 @@ def tracks_of(tracks: TracksMessage, camera: int) -> list[TrackMessage]:
 
 def distances(tracks: TracksMessage) -> dict[int, float]:
     """By track, m, of teammates whose place is known."""
-    return {said.track_id: round(math.dist(said.position_m, ORIGIN), 2) for said in tracks.relatives}
+    return {said.track_id: round(math.dist(said.position_m, RELATIVE_ORIGIN), 2) for said in tracks.relatives}
 
 
 def _cross(track: TrackMessage) -> Array:

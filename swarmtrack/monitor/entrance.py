@@ -28,8 +28,8 @@ log = logging.getLogger(__name__)
 
 MAX_CONNECTIONS = 100
 HEADERS_S = 5.0  # from a connection, or from an answer on it, to all headers of a request
-ANSWER_S = 30.0  # from there to the end of the answer, over a slow radio
-BACKLOG = (
+REQUEST_ANSWER_S = 30.0  # from there to the end of the answer, over a slow radio
+WAITING_CONNECTIONS = (
     4096  # waiting to be accepted, or what the kernel allows: who comes on top tries again after a second
 )
 SWEEP_S = 0.5
@@ -121,7 +121,7 @@ class Connection:
         return self.task is not None and self.task.done()
 
     def is_overdue(self, now: float) -> bool:
-        return not self.is_page and now - self.since > (ANSWER_S if self.has_asked else HEADERS_S)
+        return not self.is_page and now - self.since > (REQUEST_ANSWER_S if self.has_asked else HEADERS_S)
 
     def end(self) -> None:
         if self.transport is not None:
@@ -160,7 +160,7 @@ class Entrance:
                 listening.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
             # Of several addresses all get the port that the first one found free.
             listening.bind((address[0], self.address[1] or port, *address[2:]))
-            listening.listen(BACKLOG)
+            listening.listen(WAITING_CONNECTIONS)
             listening.setblocking(False)
             self.address = self.address if self.address[1] else listening.getsockname()[:2]
             self._tasks.append(asyncio.create_task(self._accept(listening, serve), name="entrance"))

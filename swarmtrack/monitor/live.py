@@ -20,7 +20,7 @@ from swarmtrack.wire.video import VideoMessage
 
 log = logging.getLogger(__name__)
 
-SILENT_S = 3.0  # between two looks at who else is there
+LIVE_PEERS_PERIOD_S = 3.0  # between two looks at who else is there
 
 
 class Listener(Protocol):
@@ -110,7 +110,7 @@ class LiveFeed:
         """While nobody of the team is there, find out who is; said on the page, and once on the terminal."""
         said = False
         while True:
-            await asyncio.sleep(SILENT_S)
+            await asyncio.sleep(LIVE_PEERS_PERIOD_S)
             if self._team.drones or self._team.starting:
                 continue
             self._team.hint = hint = hint_at(await other_teams(self._listener, self._team.name))

@@ -11,9 +11,9 @@ from swarmtrack.relative.read_out import flat_ellipses, read_outs
 from swarmtrack.wire.checks import symmetric
 from swarmtrack.wire.tracks import TracksMessage
 
-SIGMAS = 3.0  # of an ellipse
-NEAREST_M = 1e-3
-ORIGIN = (0.0, 0.0, 0.0)
+METRES_SIGMAS = 3.0  # of an ellipse
+NEAREST_SHOWN_M = 1e-3
+RELATIVE_ORIGIN = (0.0, 0.0, 0.0)
 MAPPED = 8  # drones, of whom all metres are told; of more those that somebody watches
 
 
@@ -37,14 +37,16 @@ def metres(tracks: TracksMessage | None) -> list[SeenInMetres]:
     if tracks is None:
         return []
     # What is nearer has no direction, and is a mistake or an attack.
-    placed = [said for said in tracks.relatives if math.dist(said.position_m, ORIGIN) > NEAREST_M]
+    placed = [
+        said for said in tracks.relatives if math.dist(said.position_m, RELATIVE_ORIGIN) > NEAREST_SHOWN_M
+    ]
     if not placed:
         return []
     called = {track.id: track.identity for track in tracks.tracks}
     position = np.array([said.position_m for said in placed])
     cov = symmetric(np.array([said.cov for said in placed]), 6)
     read = read_outs(position, np.array([said.velocity_m_s for said in placed]), cov)
-    numbers = np.concatenate([position[:, :2], flat_ellipses(cov, SIGMAS), read], axis=1)
+    numbers = np.concatenate([position[:, :2], flat_ellipses(cov, METRES_SIGMAS), read], axis=1)
     return [
         SeenInMetres(int(called[said.track_id] or 0), *row)
         for said, row in zip(placed, numbers.round(2).tolist(), strict=True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.messages import Array, TrackStatus
-from swarmtrack.monitor.drone_cameras import FAR_M, DroneCameras, distances, tracks_of
+from swarmtrack.monitor.drone_cameras import UNKNOWN_DISTANCE_M, DroneCameras, distances, tracks_of
 from swarmtrack.outputs.drawing import DrawnTrack, in_picture
 from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage, track_cov
@@ -70,7 +70,7 @@ def _of_others(
             corners = uv + half * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)])
             beside = uv + np.eye(2)
             points = np.vstack([uv, corners, beside])
-            pixels = rig.carried(points, away.get(track.id, FAR_M), source=number, target=camera)
+            pixels = rig.carried(points, away.get(track.id, UNKNOWN_DISTANCE_M), source=number, target=camera)
             if not np.isfinite(pixels).all() or not rig.lenses[camera].contains(pixels[:1])[0]:
                 continue
             size = pixels[1:5].max(axis=0) - pixels[1:5].min(axis=0)

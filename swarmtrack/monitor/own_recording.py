@@ -41,7 +41,7 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import announcement_message
 from swarmtrack.wire.camera import camera_message
 from swarmtrack.wire.checks import DecodeError
-from swarmtrack.wire.fields import VERSION
+from swarmtrack.wire.fields import WIRE_VERSION
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.records import from_record
@@ -66,7 +66,7 @@ HEEDED_INPUTS = frozenset(
 EGO_HISTORY_S = 2.0
 SPOKE_S = 0.2  # s between two signs of life that are kept: silence counts from 2 s on
 SILENT_WORD_S = 1.0  # s between two signs of life of a teammate that did not record itself
-JITTER_S = 0.01
+RECORDED_FRAME_JITTER_S = 0.01
 
 Heard = Announcement | SightingReport | PeerArrived | PeerDeparted | IdClash
 
@@ -199,7 +199,7 @@ class DroneRecording:
         mounting = self._cameras[camera].body_from_camera
         pose = None if ego is None else Pose(ego.world_from_body, ego.position) @ mounting
         return VideoMessage(
-            version=VERSION,
+            version=WIRE_VERSION,
             t_utc_s=exposed + self._offset,
             t_sigma_s=UTC_SIGMA,
             frame=0,
@@ -335,4 +335,4 @@ _DECODE_SCAN = msgspec.json.Decoder(_ScanHead).decode
 
 
 def _is_due(views: list[_View], t: float) -> bool:
-    return not views or t - views[-1].t >= periods.VIDEO - JITTER_S
+    return not views or t - views[-1].t >= periods.VIDEO - RECORDED_FRAME_JITTER_S

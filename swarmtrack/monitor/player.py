@@ -1,9 +1,9 @@
 """The page of a recording: the same `MonitoredTeam` as of a running swarm, told again what was said.
 
-Theory of operation. Playing goes in steps of STEP_S of the recording. In a step the team is told all words up to its
-end and then looks around once, so the state is a function of the step, however it was reached. To seek back, the
-nearest checkpoint (the team, pickled every CHECKPOINT_S) is taken and told the rest. All viewers share one position,
-as before one screen: whoever moves the slider moves it for everybody.
+Theory of operation. Playing goes in steps of PLAYER_STEP_S of the recording. In a step the team is told all words up to
+its end and then looks around once, so the state is a function of the step, however it was reached. To seek back, the
+nearest checkpoint (the team, pickled every CHECKPOINT_S) is taken and told the rest. All viewers share one position, as
+before one screen: whoever moves the slider moves it for everybody.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from swarmtrack.monitor.timeline import Blob, Timeline
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
-STEP_S = 0.1
+PLAYER_STEP_S = 0.1
 STEPS_PER_CHECKPOINT = 100
 MAX_SEEK_S = 1e9  # beyond it a page talks nonsense
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
@@ -68,7 +68,7 @@ class Playback:
 
     def __init__(self, timeline: Timeline) -> None:
         self.timeline = timeline
-        self.steps = math.ceil(timeline.seconds / STEP_S)
+        self.steps = math.ceil(timeline.seconds / PLAYER_STEP_S)
         self.step = 0
         clock = PlayedClock(timeline.begin)
         self._scene = _Scene(clock, MonitoredTeam(timeline.team, clock), 0, {})
@@ -132,7 +132,7 @@ class Playback:
 
     def _take_step(self, step: int) -> None:
         scene, events = self._scene, self.timeline.events
-        end = self.timeline.begin + step * STEP_S
+        end = self.timeline.begin + step * PLAYER_STEP_S
         while scene.told < len(events) and events[scene.told].t <= end:
             event = events[scene.told]
             scene.told += 1
@@ -176,7 +176,7 @@ class RecordingPlayer:
         before = loop.time()
         while True:
             try:
-                async with asyncio.timeout(STEP_S):
+                async with asyncio.timeout(PLAYER_STEP_S):
                     await self._news.wait()
             except TimeoutError:
                 pass
@@ -195,8 +195,8 @@ class RecordingPlayer:
         """`{"seek": s}`, `{"play": true}`, `{"speed": 2}`."""
         match wish:
             case {"seek": int() | float() as t} if -MAX_SEEK_S < t < MAX_SEEK_S:
-                bounded = max(0.0, min(float(t), self._playback.steps * STEP_S))
-                self._playback.seek(round(bounded / STEP_S))
+                bounded = max(0.0, min(float(t), self._playback.steps * PLAYER_STEP_S))
+                self._playback.seek(round(bounded / PLAYER_STEP_S))
                 self._sought, self._owed = float(t), 0.0
                 self._shown.clear()
             case {"play": bool() as play}:
@@ -215,7 +215,7 @@ class RecordingPlayer:
         if not self._playing:
             return False
         # A machine that was asleep does not skip the flight.
-        self._owed += min(seconds, 1.0) * self._speed / STEP_S
+        self._owed += min(seconds, 1.0) * self._speed / PLAYER_STEP_S
         steps = int(self._owed)
         self._owed -= steps
         if steps:
@@ -248,8 +248,8 @@ class RecordingPlayer:
         state = playback.state(watched)
         state["playback"] = {
             "name": self._name,
-            "t_s": round(playback.step * STEP_S, 1),
-            "seconds": round(playback.steps * STEP_S, 1),
+            "t_s": round(playback.step * PLAYER_STEP_S, 1),
+            "seconds": round(playback.steps * PLAYER_STEP_S, 1),
             "begin_utc_s": round(playback.timeline.begin, 1),
             "playing": self._playing,
             "speed": self._speed,

@@ -18,7 +18,7 @@ import msgspec
 
 from swarmtrack.errors import RecordingError
 from swarmtrack.monitor.own_recording import DroneRecording
-from swarmtrack.monitor.team import SILENT_S
+from swarmtrack.monitor.team import DRONE_SILENT_S
 from swarmtrack.monitor.timeline import BlobFile, Timeline, TimelineEvent, Tracked
 from swarmtrack.recording.merge import Hearsay, shifts_by, utc_offset
 from swarmtrack.recording.reader import Recording, recordings_below
@@ -82,7 +82,9 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
             events += own.events(shift, lives=lives, says_itself=own.drone_id not in heard_of)
             ends += filter(None, [own.departure(shift)])
     end = max((event.t for event in events), default=0.0)
-    events += [event for event in ends if event.t < end - SILENT_S]  # later ones ended with the recording
+    events += [
+        event for event in ends if event.t < end - DRONE_SILENT_S
+    ]  # later ones ended with the recording
     events.sort(key=lambda event: event.t)
     notes = [sentence for recording in recordings for sentence in recording.damage]
     if refused := sum(source.refused for source in sources):

@@ -40,18 +40,18 @@ log = logging.getLogger(__name__)
 
 START_ONE = "start one: swarmtrack sim --monitor; another team: --team"
 STARTING = "its agents are starting"
-MAX_DRONES = 1024  # beyond it is an attack or a mistake
-SILENT_S = 2.0  # s without a word: gone, whatever its token says
-FORGOTTEN_S = 600.0  # s after which a drone that went is listed no more
+MAX_MONITORED_DRONES = 1024  # beyond it is an attack or a mistake
+DRONE_SILENT_S = 2.0  # s without a word: gone, whatever its token says
+DRONE_FORGOTTEN_S = 600.0  # s after which a drone that went is listed no more
 VIEW_S = 2.0  # s that a view says where a camera looks
 HISTORY = 60  # health messages, for the lines: a minute
 TRACKS_KEPT = 64  # messages, to find those of a frame's instant among: a second and more
-EVENTS_KEPT = 200
+TEAM_EVENTS_KEPT = 200
 EVENTS_SHOWN = 60
 JUDGING_S = 0.5  # s: reports come once a second, and thirty drones' cost 20 ms to judge
 PLACED = {"leader", "slot_north_m", "slot_east_m", "engaged"}  # what a follower tells of itself
 SLOW = 0.7  # of the rate that was asked for
-SETTLED_S = 5.0  # s of an agent's life, after which it is judged by its rates
+TEAM_SETTLED_S = 5.0  # s of an agent's life, after which it is judged by its rates
 STEEP = 0.2  # length of a camera's axis seen from above, below which it looks up or down
 
 
@@ -106,7 +106,7 @@ class MonitoredTeam:
         self._clock = clock
         self._drones: dict[int, Drone] = {}
         self._reports = Reports()
-        self._events: deque[dict[str, Any]] = deque(maxlen=EVENTS_KEPT)
+        self._events: deque[dict[str, Any]] = deque(maxlen=TEAM_EVENTS_KEPT)
         self._event_count = 0
         self._light = ""
         self._verdict = TeamVerdict((), ())
@@ -135,7 +135,7 @@ class MonitoredTeam:
     def _take_in(self, address: keys.Address, sample: Sample) -> CameraView | None:
         drone = self._drones.get(address.drone_id)
         if drone is None:
-            if len(self._drones) >= MAX_DRONES or (address.kind is Kind.ALIVE and not sample.alive):
+            if len(self._drones) >= MAX_MONITORED_DRONES or (address.kind is Kind.ALIVE and not sample.alive):
                 return None
             drone = Drone()  # listed once it is understood
         if address.kind is Kind.ALIVE:
@@ -330,9 +330,9 @@ class MonitoredTeam:
     def _find_the_gone(self, now: float) -> None:
         for drone_id, drone in list(self._drones.items()):
             # A token outlives the radio by the lease.
-            if drone.gone_since is None and now - drone.heard > SILENT_S:
+            if drone.gone_since is None and now - drone.heard > DRONE_SILENT_S:
                 self._gone(drone_id, drone, drone.heard)
-            elif drone.gone_since is not None and now - drone.gone_since > FORGOTTEN_S:
+            elif drone.gone_since is not None and now - drone.gone_since > DRONE_FORGOTTEN_S:
                 del self._drones[drone_id]
 
     def _gone(self, drone_id: int, drone: Drone, since: float) -> None:
@@ -466,7 +466,7 @@ def troubles(health: HealthMessage | None) -> list[str]:
     if health is None:
         return []
     names = {"autopilot": "its autopilot", "camera": "its camera", "zenoh": "the network"}
-    verb = "lost" if health.uptime_s >= SETTLED_S else "waits for"
+    verb = "lost" if health.uptime_s >= TEAM_SETTLED_S else "waits for"
     others = {link.name: f"has trouble with its {link.name}" for link in health.links}
     others |= {link.name: f"holds: {link.text}" for link in health.links if link.name == "formation"}
     found = [
@@ -475,7 +475,7 @@ def troubles(health: HealthMessage | None) -> list[str]:
         if not link.ok
     ]
     autopilot_is_up = any(link.name == "autopilot" and link.ok for link in health.links)
-    if health.uptime_s < SETTLED_S:
+    if health.uptime_s < TEAM_SETTLED_S:
         return found
     imu = health.rates.get("imu")
     if imu is not None and imu.asked_hz and autopilot_is_up:

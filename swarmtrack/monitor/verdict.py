@@ -18,7 +18,7 @@ from typing import NamedTuple
 from swarmtrack.identity.consensus import GATE, SPEED, OwnView, miss_of_point, miss_of_rays
 from swarmtrack.messages import Array, Sighting, SightingReport
 
-MEMORY_S = 4.0  # s of reports of each drone
+VERDICT_MEMORY_S = 4.0  # s of reports of each drone
 WAIT_S = 2.0  # s that a report waits for the others to speak, before it is judged by what there is
 BETWEEN_M = 0.3  # m: by how much a drone leaves the straight line between two places it told, a second apart
 
@@ -57,7 +57,7 @@ class Reports:
                 return
             said.clear()
         said.append(report)
-        while said[0].t < report.t - MEMORY_S:
+        while said[0].t < report.t - VERDICT_MEMORY_S:
             said.popleft()
 
     def forget(self, drone_id: int) -> None:

@@ -24,12 +24,12 @@ from swarmtrack.outputs.drawing import DrawnTrack, Trails
 
 log = logging.getLogger(__name__)
 
-FRAMES_KEPT = 16  # a scan that waits for its gyro sample is at most a few frames behind
+VIDEO_FRAMES_KEPT = 16  # a scan that waits for its gyro sample is at most a few frames behind
 MOST_REPEATED = 300  # of one frame: a stall of a minute need not be watched
 MAX_BACKLOG = 8  # frames waiting to be encoded, before a live camera's are dropped
 
-FASTEST_HZ = 60.0  # no screen shows more
-USUAL_FPS = 30.0  # of what has a single frame
+FASTEST_VIDEO_HZ = 60.0  # no screen shows more
+USUAL_VIDEO_FPS = 30.0  # of what has a single frame
 
 LARGEST_PX = 2000  # radius of an ellipse
 
@@ -107,7 +107,7 @@ def _no_complaint() -> Iterator[None]:
 class TimedVideo:
     """Pictures at their own times: one that lasts is written again. Opened with the first."""
 
-    def __init__(self, path: Path, fps: float = USUAL_FPS) -> None:
+    def __init__(self, path: Path, fps: float = USUAL_VIDEO_FPS) -> None:
         """Raises SourceError where it cannot be written."""
         _check_video(path)
         self._path = path
@@ -137,7 +137,7 @@ class TimedVideo:
 
     def _open(self, first: Image) -> cv2.VideoWriter:
         height, width = first.shape[:2]
-        self.fps = min(max(self.fps, 1.0), FASTEST_HZ)
+        self.fps = min(max(self.fps, 1.0), FASTEST_VIDEO_HZ)
         self._writer = _writer(self._path, self.fps, (width, height))
         if not self._writer.isOpened():
             log.warning("output.video: OpenCV cannot write %s; frames are being lost", self._path)
@@ -154,7 +154,7 @@ class AnnotatedVideo:
     def __init__(self, path: Path, *, lossless: bool) -> None:
         self._video = TimedVideo(path)
         self._lossless = lossless
-        self._frames: deque[Frame] = deque(maxlen=FRAMES_KEPT)
+        self._frames: deque[Frame] = deque(maxlen=VIDEO_FRAMES_KEPT)
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="video")
         self._pending: deque[Future[None]] = deque()
         self._first: tuple[float, Image] | None = None
@@ -200,7 +200,7 @@ class AnnotatedVideo:
             return
         self._begun = True
         began, first = self._first
-        self._video.fps = 1.0 / (t - began) if t is not None and t > began else USUAL_FPS
+        self._video.fps = 1.0 / (t - began) if t is not None and t > began else USUAL_VIDEO_FPS
         self._video.write(first, 0.0)
 
     def _finish(self) -> None:

@@ -9,11 +9,11 @@ from swarmtrack.formation.margins import REFERENCE_VIEW_SHARE
 from swarmtrack.formation.plan import FormationPlan, HalfView, nearest_view, neighbours_at_one_height
 
 # Signs of the text's drawing, at most; a sign is twice as high as wide.
-COLUMNS, ROWS = 61, 21
+DRAWING_COLUMNS, DRAWING_ROWS = 61, 21
 # px of the SVG: one drawing's width, and the margin around it.
-PANEL, MARGIN = 440.0, 76.0
+PANEL, DRAWING_MARGIN = 440.0, 76.0
 ARC_STEPS = 8  # of the border of half a view
-COLOURS = {
+DRAWING_COLOURS = {
     "leader": "#c2410c",
     "follower": "#1d4ed8",
     "line": "#94a3b8",
@@ -46,7 +46,7 @@ def _grid(plan: FormationPlan) -> Iterator[str]:
         (
             m
             for m in (0.5, 1.0, 2.0, 5.0, 10.0)
-            if (right - left) / m * 2 < COLUMNS - 6 and (high - low) / m < ROWS
+            if (right - left) / m * 2 < DRAWING_COLUMNS - 6 and (high - low) / m < DRAWING_ROWS
         ),
         20.0,
     )
@@ -82,16 +82,17 @@ def as_svg(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> str:
     span = max(
         [2.0] + [abs(a - b) for axis in range(3) for a in _axis(plan, axis) for b in _axis(plan, axis)]
     )
-    scale = (PANEL - 2.0 * MARGIN) / span
+    scale = (PANEL - 2.0 * DRAWING_MARGIN) / span
     width, height = 2.0 * PANEL, PANEL + 40.0
     metres = 1 if scale > 12.0 else 5
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" '
-        f'viewBox="0 0 {width:.0f} {height:.0f}" font-family="sans-serif" font-size="14" fill="{COLOURS["text"]}">',
+        f'viewBox="0 0 {width:.0f} {height:.0f}" font-family="sans-serif" font-size="14" '
+        f'fill="{DRAWING_COLOURS["text"]}">',
         '<rect width="100%" height="100%" fill="white"/>',
         *_panel(plan, drone, views, scale, 0.0, above=True),
         *_panel(plan, drone, views, scale, PANEL, above=False),
-        f'<text x="{0.5 * MARGIN:.0f}" y="{PANEL + 24.0:.0f}">grid of {metres} m; heights above the team '
+        f'<text x="{0.5 * DRAWING_MARGIN:.0f}" y="{PANEL + 24.0:.0f}">grid of {metres} m; heights above the team '
         f"frame's origin; shaded: {REFERENCE_VIEW_SHARE:.0%} of "
         f"{'the view' if len(views) == 1 else 'each view'} of drone "
         f"{drone}</text>",
@@ -125,12 +126,12 @@ def _panel(
         for reference in plan.references[follower]:
             (x1, y1), (x2, y2) = at(plan.slots[follower]), at(plan.slots[reference])
             yield (
-                f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{COLOURS["line"]}" '
+                f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{DRAWING_COLOURS["line"]}" '
                 'stroke-dasharray="5 4"/>'
             )
     for each, place in plan.slots.items():
         x, y = at(place)
-        colour = COLOURS["leader" if each == plan.leader else "follower"]
+        colour = DRAWING_COLOURS["leader" if each == plan.leader else "follower"]
         label = f"{each}" if above else f"{each}: {plan.height_of(each):.1f} m"
         yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="7" fill="{colour}"/>'
         yield f'<text x="{x + 11.0:.1f}" y="{y - 8.0:.1f}">{label}</text>'
@@ -139,7 +140,7 @@ def _panel(
 def _metres(scale: float, offset: float) -> Iterator[str]:
     """A grid of 1 m behind everything, or of 5 m where it would be too dense."""
     step = scale if scale > 12.0 else 5.0 * scale
-    low, high = 0.5 * MARGIN, PANEL - 0.5 * MARGIN
+    low, high = 0.5 * DRAWING_MARGIN, PANEL - 0.5 * DRAWING_MARGIN
     for k in range(int((high - low) / step) + 1):
         z = low + k * step
         yield f'<path d="M{offset + z:.1f} {low:.1f}V{high:.1f}" stroke="#e2e8f0" fill="none"/>'
@@ -155,4 +156,4 @@ def _wedge(plan: FormationPlan, drone: int, view: HalfView, scale: float, corner
     length = scale * (max(look.distance for look in plan.looks(drone)) + 0.5)
     turns = [middle + half * (k / ARC_STEPS - 1.0) for k in range(2 * ARC_STEPS + 1)]
     border = "".join(f"L{x + length * math.sin(a):.1f} {y - length * math.cos(a):.1f}" for a in turns)
-    return f'<path d="M{x:.1f} {y:.1f}{border}Z" fill="{COLOURS["view"]}"/>'
+    return f'<path d="M{x:.1f} {y:.1f}{border}Z" fill="{DRAWING_COLOURS["view"]}"/>'

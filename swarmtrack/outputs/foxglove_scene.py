@@ -36,7 +36,7 @@ from swarmtrack.cameras.field_of_view import outline
 from swarmtrack.cameras.priors import OUTLINE_POINTS_PER_SIDE
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose as Placed
-from swarmtrack.geometry.rotation import to_quaternion
+from swarmtrack.geometry.rotation import ENU_FROM_NED, to_quaternion
 from swarmtrack.messages import (
     MOST_CAMERAS,
     Array,
@@ -53,7 +53,7 @@ from swarmtrack.relative.read_out import read_out
 
 SCENE = Topic.well_known("/scene", SceneUpdate)
 FRAMES = Topic.well_known("/tf", FrameTransforms)
-CAMERAS = Topic.well_known("/cameras", SceneUpdate)
+CAMERAS_SCENE = Topic.well_known("/cameras", SceneUpdate)
 RAYS = Topic.well_known("/rays", SceneUpdate)
 CALIBRATIONS = [
     Topic.well_known(image_topic(k).replace("image", "calibration"), CameraCalibration)
@@ -61,15 +61,14 @@ CALIBRATIONS = [
 ]
 
 # m: of the ball where the teammate is most probably, and least of an ellipsoid's axes.
-BALL, LEAST = 0.3, 0.01
+DRONE_BALL_M, LEAST_ELLIPSOID_M = 0.3, 0.01
 # s: what is not said again by then is seen no more.
 LIFETIME = Duration(sec=1, nsec=0)
 # s between two times that the cameras themselves are said, for who begins to look in the middle.
 CAMERAS_S = 1.0
 # m: how far the lines around a field of view go, and a ray to who knows how far.
 VIEW_M, RAY_M = 1.0, 30.0
-LINES = 0.8  # their opacity
-ENU_FROM_NED = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+LINE_OPACITY = 0.8  # their opacity
 
 Written = tuple[Topic, bytes]
 
@@ -120,7 +119,7 @@ class FoxgloveScene:
     def _cameras(self, stamp: Timestamp) -> Iterator[Written]:
         """The lines around what each sees, and their calibrations."""
         views = [self._view(name, lens, stamp) for name, lens in zip(self._names, self._lenses, strict=True)]
-        yield CAMERAS, SceneUpdate(entities=views).encode()
+        yield CAMERAS_SCENE, SceneUpdate(entities=views).encode()
         for topic, name, lens in zip(CALIBRATIONS, self._names, self._lenses, strict=False):
             yield topic, calibration(lens, name, stamp).encode()
 
@@ -132,8 +131,8 @@ class FoxgloveScene:
             frame_id=name,
             id=name,
             lines=[
-                _line(LinePrimitiveLineType.LineLoop, border, shade(colour_of(None), LINES)),
-                _line(LinePrimitiveLineType.LineList, edges, shade(colour_of(None), LINES)),
+                _line(LinePrimitiveLineType.LineLoop, border, shade(colour_of(None), LINE_OPACITY)),
+                _line(LinePrimitiveLineType.LineList, edges, shade(colour_of(None), LINE_OPACITY)),
             ],
         )
 
@@ -164,7 +163,7 @@ class FoxgloveScene:
                 _line(
                     LinePrimitiveLineType.LineStrip,
                     (np.zeros(3), far * ray),
-                    shade(colour_of(entry.identity), LINES),
+                    shade(colour_of(entry.identity), LINE_OPACITY),
                 )
             ],
         )
@@ -174,8 +173,8 @@ class FoxgloveScene:
         read = read_out(state.position, state.velocity, state.cov)
         variances, axes = np.linalg.eigh(state.cov[:3, :3])
         axes[:, 0] *= np.sign(np.linalg.det(axes))
-        diameters = np.maximum(2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0)), LEAST)
-        label = state.position - (0.0, 0.0, 2.0 * BALL)
+        diameters = np.maximum(2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0)), LEAST_ELLIPSOID_M)
+        label = state.position - (0.0, 0.0, 2.0 * DRONE_BALL_M)
         return SceneEntity(
             timestamp=stamp,
             frame_id=self._ned,
@@ -189,7 +188,7 @@ class FoxgloveScene:
                 ),
                 SpherePrimitive(
                     pose=pose_of(state.position, np.eye(3)),
-                    size=Vector3(x=BALL, y=BALL, z=BALL),
+                    size=Vector3(x=DRONE_BALL_M, y=DRONE_BALL_M, z=DRONE_BALL_M),
                     color=shade(colour),
                 ),
             ],

@@ -28,15 +28,15 @@ from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.writer import Topic
 
 IMAGES = [Topic.well_known(image_topic(k), CompressedImage) for k in range(MOST_CAMERAS)]
-FRAME = Topic.of_json(FRAMES_TOPIC, schemas.FRAME)
+FRAME_RECORDS = Topic.of_json(FRAMES_TOPIC, schemas.FRAME_SCHEMA)
 BOXES = [
     Topic.well_known(image_topic(k).replace("image", "annotations"), ImageAnnotations)
     for k in range(MOST_CAMERAS)
 ]
 POSE = Topic.well_known("/pose", PoseInFrame)
-EVENTS = Topic.well_known("/log", Log)
+EVENTS_LOG = Topic.well_known("/log", Log)
 
-JPEG_QUALITY = 90
+FOXGLOVE_JPEG_QUALITY = 90
 BLACK = (0, 0, 0)
 
 Written = tuple[Topic, bytes]
@@ -79,19 +79,19 @@ class FoxgloveViews:
         self._told = events
         for line in new:
             message = Log(timestamp=stamp(log_time_ns), level=LogLevel.Info, message=line, name="agent")
-            yield EVENTS, message.encode()
+            yield EVENTS_LOG, message.encode()
 
     def of_frame(self, frame: Frame, exposed_ns: int) -> Iterator[Written]:
         """The picture, and its exact time."""
         import cv2  # noqa: PLC0415
 
-        ok, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+        ok, jpeg = cv2.imencode(".jpg", frame.image, [cv2.IMWRITE_JPEG_QUALITY, FOXGLOVE_JPEG_QUALITY])
         if not ok:
             return
         exact = {"sequence": int(frame.sequence), "t_s": float(frame.t), "t_sigma_s": float(frame.t_sigma)}
         if frame.camera:
             exact["camera"] = frame.camera
-        yield FRAME, msgspec.json.encode(exact)
+        yield FRAME_RECORDS, msgspec.json.encode(exact)
         image = CompressedImage(
             timestamp=stamp(exposed_ns),
             frame_id=camera_frame(self._drone_id, frame.camera),

@@ -25,15 +25,15 @@ from swarmtrack.outputs import periods
 from swarmtrack.perceived import Perceived
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
-from swarmtrack.wire.fields import MAX_JPEG, VERSION
+from swarmtrack.wire.fields import MAX_JPEG, WIRE_VERSION
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.video import VideoMessage
 
 # How early a frame may come and still be on time. Without it 10 frames per second would give 5 pictures.
-JITTER_S = 0.01
+LIVE_FRAME_JITTER_S = 0.01
 PICTURE_WIDTH = 480  # px, at most: a quarter of a laptop's screen
 # Tried in turn until the picture fits into a message: JPEG quality, and the share of the width.
-ATTEMPTS = ((70, 1.0), (45, 1.0), (45, 0.5), (25, 0.25))
+JPEG_ATTEMPTS = ((70, 1.0), (45, 1.0), (45, 0.5), (25, 0.25))
 
 
 class LiveVideo:
@@ -69,14 +69,14 @@ class LiveVideo:
         now = self._wall.now()
         # What has no picture costs nothing worth sharing.
         period = periods.VIDEO * (1 if image is None else self._watched())
-        if now - self._last[camera] < period - JITTER_S:
+        if now - self._last[camera] < period - LIVE_FRAME_JITTER_S:
             return
         self._last[camera] = now
         exposed = t + self._perceived.camera_clocks[camera].used_s
         pose = self._perceived.camera_pose(exposed, camera)
         lens = self._lenses[camera]
         view = VideoMessage(
-            version=VERSION,
+            version=WIRE_VERSION,
             t_utc_s=float(exposed + self._clock.utc() - self._clock.now()),
             t_sigma_s=UTC_SIGMA,
             frame=frame,
@@ -125,7 +125,7 @@ def with_picture(view: VideoMessage, image: Image) -> VideoMessage | None:
     import cv2  # noqa: PLC0415 - not above: an agent without pictures does not pay for it
 
     height, width = image.shape[:2]
-    for quality, share in ATTEMPTS:
+    for quality, share in JPEG_ATTEMPTS:
         w = max(1, round(min(width, PICTURE_WIDTH) * share))
         h = max(1, round(w * height / width))
         # Area averaging costs three times as much, and nearest neighbour loses small drones.

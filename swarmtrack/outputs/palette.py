@@ -10,7 +10,7 @@ from swarmtrack.messages import FOREIGN, Identity
 Rgb = tuple[int, int, int]
 """Red, green, blue, 0…255."""
 
-COLOURS: tuple[Rgb, ...] = (
+DRONE_COLOURS: tuple[Rgb, ...] = (
     (230, 159, 0),
     (86, 180, 233),
     (0, 158, 115),
@@ -27,4 +27,4 @@ UNKNOWN: Rgb = (200, 200, 200)
 def colour_of(identity: Identity) -> Rgb:
     if identity is None:
         return UNKNOWN
-    return STRANGER if identity == FOREIGN else COLOURS[(identity - 1) % len(COLOURS)]
+    return STRANGER if identity == FOREIGN else DRONE_COLOURS[(identity - 1) % len(DRONE_COLOURS)]

@@ -6,7 +6,7 @@ Readers count on it: a drone's word is out of date where the next two have not c
 from __future__ import annotations
 
 # To the team, and to whoever watches it.
-HEALTH = 1.0
+HEALTH_PERIOD_S = 1.0
 IDENTITIES = 1.0
 # Whom we see as whom is told at once where it changed, but no more often than that.
 IDENTITIES_CHANGED = 0.1

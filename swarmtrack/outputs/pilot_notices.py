@@ -48,9 +48,9 @@ from swarmtrack.wire.health import LinkHealth
 
 NETWORKS = ("zenoh", "memory")  # names of links to the team
 # Name of the number of teammates in view.
-NUMBER = "trk_n"
+TRACK_COUNT_NAME = "trk_n"
 BLIND_AFTER = 1.0  # s without a scan: what was seen then is not seen now
-HOLD = 3.0  # s that a source must be away, or back, to be news
+NOTICE_HOLD_S = 3.0  # s that a source must be away, or back, to be news
 # s likewise for how many teammates are seen; drones fly in and out of view, so not more often than every REST.
 SIGHT_HOLD, SIGHT_REST = 2.0, 10.0
 
@@ -90,11 +90,11 @@ class PilotNotices:
         self._scan_at = -math.inf
         self._links: Mapping[str, bool] = {}
         self._ready = False
-        self._camera = Debounced(True, hold=HOLD)
+        self._camera = Debounced(True, hold=NOTICE_HOLD_S)
         self._each_camera: dict[str, Debounced[bool]] = {}
         """Of several, by the names of their links."""
-        self._network = Debounced(True, hold=HOLD)
-        self._trouble = Debounced("", hold=HOLD)
+        self._network = Debounced(True, hold=NOTICE_HOLD_S)
+        self._trouble = Debounced("", hold=NOTICE_HOLD_S)
         self._sight = Debounced((0, 0), hold=SIGHT_HOLD, rest=SIGHT_REST)
         self._number_at = -math.inf
         self._texts_sent = 0
@@ -166,7 +166,7 @@ class PilotNotices:
                 self._number_at = now
                 named = len({entry.identity for entry in self._named(now)})
                 self._look_for_news(named, now)
-                self._autopilot.tell(named_value(now, NUMBER, named))
+                self._autopilot.tell(named_value(now, TRACK_COUNT_NAME, named))
             self._say_line(now)
         if self._boxes:
             self._show(now)
@@ -203,7 +203,7 @@ class PilotNotices:
         # Of none at all that was all there is to say.
         if camera and len(cameras) > 1:
             for name, ok in cameras.items():
-                each = self._each_camera.setdefault(name, Debounced(True, hold=HOLD))
+                each = self._each_camera.setdefault(name, Debounced(True, hold=NOTICE_HOLD_S))
                 if each.is_news(ok, now):
                     self._say_of("" if ok else f"{name} gone", name)
         if self._network.is_news(network, now):

@@ -13,7 +13,7 @@ LINE_EVERY = 2.0  # s after them
 WAITING = 16  # lines at most; of more, the least severe goes first
 STALE_AFTER = 15.0  # s: a line that nobody could hear for so long is no news any more
 SAY_AGAIN = 10.0  # s before the same line comes again
-REMEMBERED = 64  # lines for that; whoever makes more of them in that time is flooding us
+REMEMBERED_LINES = 64  # lines for that; whoever makes more of them in that time is flooding us
 
 _V = TypeVar("_V")
 
@@ -61,7 +61,7 @@ class StatusLines:
         self._said = {line: t for line, t in self._said.items() if now - t < SAY_AGAIN}
         if text in self._said:
             return
-        if len(self._said) >= REMEMBERED:
+        if len(self._said) >= REMEMBERED_LINES:
             self.untold += 1
             return
         self._said[text] = now

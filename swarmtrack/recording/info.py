@@ -9,7 +9,18 @@ from typing import Any
 from swarmtrack.recording.limits import RATE_LEAST_MESSAGES
 from swarmtrack.recording.reader import Message, Recording
 
-HEAD = ("kind", "drone_id", "team", "boot", "tracker", "swarmtrack", "python", "numpy", "scipy", "machine")
+HEADLINE_KEYS = (
+    "kind",
+    "drone_id",
+    "team",
+    "boot",
+    "tracker",
+    "swarmtrack",
+    "python",
+    "numpy",
+    "scipy",
+    "machine",
+)
 
 
 @dataclass(slots=True)
@@ -67,7 +78,7 @@ class Summary:
         """For JSON."""
         return {
             "folder": self.folder,
-            **{key: self.preface[key] for key in HEAD if key in self.preface},
+            **{key: self.preface[key] for key in HEADLINE_KEYS if key in self.preface},
             "begin_utc_s": self.begin_ns * 1e-9,
             "duration_s": round(self.seconds, 6),
             "bytes": sum(size for _, size, _ in self.files),

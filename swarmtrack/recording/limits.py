@@ -1,7 +1,7 @@
 """Every period and cap of recordings: what a writer keeps to, and what a reader refuses."""
 
 # Writer (`writer`): bytes of a chunk; and with the recorder's own delay, kill -9 loses half a second.
-CHUNK_BYTES = 64 << 10
+RECORDING_CHUNK_BYTES = 64 << 10
 CHUNK_FLUSH_S = 0.4
 # From a write that failed to the next attempt, in a new segment.
 WRITE_RETRY_S = 10.0

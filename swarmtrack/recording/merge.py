@@ -21,7 +21,7 @@ import msgspec
 from mcap.writer import Writer
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.recording.limits import CHUNK_BYTES
+from swarmtrack.recording.limits import RECORDING_CHUNK_BYTES
 from swarmtrack.recording.reader import Message, Recording
 
 SAID_TOPIC, SIGHTINGS_TOPIC = "/said", "/peers/sightings"
@@ -89,7 +89,7 @@ def merge(recordings: Sequence[Recording], target: Path) -> tuple[list[Shift], i
     ]
     try:
         with target.open("xb") as file:
-            writer = Writer(file, chunk_size=CHUNK_BYTES)
+            writer = Writer(file, chunk_size=RECORDING_CHUNK_BYTES)
             writer.start(profile="swarmtrack")
             for recording, name, shift in zip(recordings, names, moved, strict=True):
                 added = {"shift_s": repr(shift.seconds), "shifted_by": shift.by}

@@ -35,17 +35,17 @@ from swarmtrack.recording.records import (
     read_schema,
     unpacked_chunk,
 )
-from swarmtrack.recording.writer import ACTIVE, PREFACE, SUFFIX
+from swarmtrack.recording.writer import ACTIVE, PREFACE, RECORDING_SUFFIX
 
-MAGIC = b"\x89MCAP0\r\n"
-FORMAT = "1"
+MCAP_MAGIC = b"\x89MCAP0\r\n"
+RECORDING_FORMAT = "1"
 FLIGHT_PLAN = "flight_plan.json"  # attached to the recording of a simulated flight
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _IS_MESSAGE = int(Opcode.MESSAGE)
 # A footer is none of them: it stands behind the end of the data.
 _KNOWN = frozenset(map(int, Opcode)) - {int(Opcode.FOOTER)}
-PRIVATE = 0x80  # from here on, opcodes are an application's own
+PRIVATE_OPCODES = 0x80  # from here on, opcodes are an application's own
 _UNREADABLE = (ValueError, struct.error, OverflowError, MemoryError, zstandard.ZstdError)
 
 
@@ -82,13 +82,13 @@ class Segment:
         except OSError as error:
             raise RecordingError(f"{self.path}: {error.strerror}, expected a recording") from error
         with file:
-            if file.read(len(MAGIC)) != MAGIC:
+            if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise RecordingError(f"{self.path}: is no MCAP file, expected a recording")
             self.damage, self._declared, self._noted = None, 0, 0
             yield from self._records(file, topics)
 
     def _records(self, file: IO[bytes], topics: Collection[str] | None) -> Iterator[Message]:
-        checksum, chunked = zlib.crc32(MAGIC), False
+        checksum, chunked = zlib.crc32(MCAP_MAGIC), False
         while True:
             at = file.tell()
             head = file.read(_HEAD.size)
@@ -107,7 +107,7 @@ class Segment:
                 if opcode == Opcode.DATA_END:
                     check_end(body, checksum)
                     return  # what follows is an index of what we read
-                if opcode not in _KNOWN and opcode < PRIVATE:
+                if opcode not in _KNOWN and opcode < PRIVATE_OPCODES:
                     raise ValueError("a record of no known kind")
                 if opcode == Opcode.MESSAGE and chunked:  # who writes chunks writes all messages into them
                     raise ValueError("a message between chunks")
@@ -225,9 +225,13 @@ def files_below(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise RecordingError(f"{path}: no such file or folder, expected a recording")
-    found = sorted(p for p in path.rglob("*") if p.name.endswith((SUFFIX, SUFFIX + ACTIVE)) and p.is_file())
+    found = sorted(
+        p
+        for p in path.rglob("*")
+        if p.name.endswith((RECORDING_SUFFIX, RECORDING_SUFFIX + ACTIVE)) and p.is_file()
+    )
     if not found:
-        raise RecordingError(f"{path}: holds no {SUFFIX} file, expected a recording")
+        raise RecordingError(f"{path}: holds no {RECORDING_SUFFIX} file, expected a recording")
     return found
 
 
@@ -250,8 +254,10 @@ def _opened(segments: list[Segment]) -> Recording:
     else:
         raise RecordingError(f"{segments[0].path}: is no recording of ours, expected metadata {PREFACE!r}")
     found = recording.preface.get("format")
-    if found != FORMAT:
-        raise RecordingError(f"{segments[0].path}: is of format {found}, this program reads format {FORMAT}")
+    if found != RECORDING_FORMAT:
+        raise RecordingError(
+            f"{segments[0].path}: is of format {found}, this program reads format {RECORDING_FORMAT}"
+        )
     _check_preface(segments[0].path, recording.preface)
     return recording
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from mcap.writer import Writer
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.recording.limits import CHUNK_BYTES
+from swarmtrack.recording.limits import RECORDING_CHUNK_BYTES
 from swarmtrack.recording.reader import Segment
 from swarmtrack.recording.writer import ACTIVE
 
@@ -49,7 +49,7 @@ def repair(path: Path) -> Repaired | None:
 def rewrite(segment: Segment, target: Path) -> int:
     """Everything of a segment that can be read into a new file; how many messages that is."""
     with target.open("wb") as file:
-        writer = Writer(file, chunk_size=CHUNK_BYTES)
+        writer = Writer(file, chunk_size=RECORDING_CHUNK_BYTES)
         writer.start(profile="swarmtrack")
         schemas: dict[int, int] = {0: 0}
         channels: dict[int, int] = {}

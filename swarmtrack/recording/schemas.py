@@ -44,7 +44,7 @@ def _of_entry(entry: Entry) -> Schema:
     return schema
 
 
-TRACKS = table(
+TRACKS_SCHEMA = table(
     "swarmtrack.Tracks",
     t_s=NUMBER,
     sequence=INTEGER,
@@ -67,8 +67,8 @@ TRACKS = table(
         )
     ),
 )
-ASKED = table("swarmtrack.Asked", n=INTEGER, t_s=NUMBER, digest=TEXT, tracks=INTEGER)
-SETPOINTS = table(
+ASKED_SCHEMA = table("swarmtrack.Asked", n=INTEGER, t_s=NUMBER, digest=TEXT, tracks=INTEGER)
+SETPOINTS_SCHEMA = table(
     "swarmtrack.Setpoint",
     n=INTEGER,
     t_s=NUMBER,
@@ -83,6 +83,6 @@ SETPOINTS = table(
     clear_of=array(INTEGER),
     digest=TEXT,
 )
-SAID = table("swarmtrack.Said", drone_id=INTEGER, boot=TEXT, sequence=INTEGER, t_s=NUMBER)
-FRAME = table("swarmtrack.Frame", sequence=INTEGER, camera=INTEGER, t_s=NUMBER, t_sigma_s=NUMBER)
-HEALTH: Schema = {"title": "swarmtrack.Health", "type": "object"}
+SAID_SCHEMA = table("swarmtrack.Said", drone_id=INTEGER, boot=TEXT, sequence=INTEGER, t_s=NUMBER)
+FRAME_SCHEMA = table("swarmtrack.Frame", sequence=INTEGER, camera=INTEGER, t_s=NUMBER, t_sigma_s=NUMBER)
+HEALTH_SCHEMA: Schema = {"title": "swarmtrack.Health", "type": "object"}

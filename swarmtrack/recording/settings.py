@@ -20,7 +20,7 @@ from swarmtrack.config.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.errors import ConfigError, RecordingError
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.recording.reader import FORMAT, Recording
+from swarmtrack.recording.reader import RECORDING_FORMAT, Recording
 from swarmtrack.recording.writer import Attachment
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.tracking import TRACKERS
@@ -56,7 +56,7 @@ def preface(settings: FlightSettings, boot: str, now: float, utc: float) -> dict
     """Metadata of every segment. now [s] of our monotonic clock is utc."""
     config = settings.config
     return {
-        "format": FORMAT,
+        "format": RECORDING_FORMAT,
         "kind": "drone",
         "drone_id": str(config.drone.id),
         "team": config.network.team,

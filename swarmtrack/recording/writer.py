@@ -23,10 +23,10 @@ from foxglove import Channel, Context, Schema
 from foxglove.mcap import MCAPWriteOptions
 
 from swarmtrack.errors import RecordingError
-from swarmtrack.recording.limits import CHUNK_BYTES, CHUNK_FLUSH_S, LEAST_SEGMENTS, WRITE_RETRY_S
+from swarmtrack.recording.limits import CHUNK_FLUSH_S, LEAST_SEGMENTS, RECORDING_CHUNK_BYTES, WRITE_RETRY_S
 
 ACTIVE = ".active"
-SUFFIX = ".mcap"
+RECORDING_SUFFIX = ".mcap"
 
 PREFACE = "swarmtrack.recording"
 """Name of the metadata that every segment begins with."""
@@ -218,14 +218,17 @@ class RecordingWriter:
         if self._stopped or now < self._retry_at:
             return False
         self._number += 1
-        path = self.folder / f"{self._number:04}{SUFFIX}{ACTIVE}"
+        path = self.folder / f"{self._number:04}{RECORDING_SUFFIX}{ACTIVE}"
         try:
             file = _File(path)
         except OSError as error:
             self._fail(error, now)
             return False
         options = MCAPWriteOptions(
-            chunk_size=CHUNK_BYTES, compression_threads=0, disable_seeking=True, profile="swarmtrack"
+            chunk_size=RECORDING_CHUNK_BYTES,
+            compression_threads=0,
+            disable_seeking=True,
+            profile="swarmtrack",
         )
         writer = foxglove.open_mcap(file, context=self._context, writer_options=options)
         writer.write_metadata(PREFACE, {**self._preface.metadata, "segment": str(self._number)})
@@ -281,7 +284,11 @@ class RecordingWriter:
         """Keep below the bound, with room for a segment more."""
         root = self._bounds.root
         kept = sorted(
-            (path for pattern in (f"*{SUFFIX}", f"*{SUFFIX}{ACTIVE}") for path in root.rglob(pattern)),
+            (
+                path
+                for pattern in (f"*{RECORDING_SUFFIX}", f"*{RECORDING_SUFFIX}{ACTIVE}")
+                for path in root.rglob(pattern)
+            ),
             key=lambda path: (path.parent, path.name),
         )
         sizes = {path: path.stat().st_size for path in kept}

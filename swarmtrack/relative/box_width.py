@@ -27,14 +27,14 @@ class BoxWidth:
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
-            low, high = LIMITS[field.name]
+            low, high = BOX_WIDTH_BOUNDS[field.name]
             if not low <= value <= high:
                 raise ValueError(
                     f"box_width.{field.name}: found {value!r}, expected a number from {low:g} to {high:g}"
                 )
 
 
-LIMITS = {
+BOX_WIDTH_BOUNDS = {
     "factor": (0.2, 5.0),
     "padding_px": (-20.0, 100.0),
     "drone_sigma": (0.0, 1.0),

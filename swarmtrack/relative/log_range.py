@@ -34,12 +34,12 @@ from swarmtrack.relative.priors import (
     WANDER_SHORT_STEP,
 )
 
-STATES: Final = 12
-ACROSS, RANGE, SPEED = slice(0, 2), 2, slice(3, 6)
-LASTING, WANDERING, PLACE, TURN = 6, 7, slice(8, 11), 11
+STATE_SIZE: Final = 12
+ACROSS_RAY, LOG_RANGE, SCALED_SPEED = slice(0, 2), 2, slice(3, 6)
+LASTING_SIZE, WANDERING_SIZE, PLACE_ERROR, HEADING_OFFSET = 6, 7, slice(8, 11), 11
 _MOVING: Final = slice(0, 6)
 _LOG_NEAREST, _LOG_FARTHEST = math.log(RELATIVE_NEAREST_M), math.log(RELATIVE_FARTHEST_M)
-_IDENTITY: Final = np.eye(STATES)
+_IDENTITY: Final = np.eye(STATE_SIZE)
 _IDENTITY.setflags(write=False)
 
 
@@ -172,7 +172,7 @@ def nobody() -> Beliefs:
     """No rows."""
     return Beliefs(
         np.empty((0, 3)), np.empty((0, 3, 2)), np.empty(0), np.empty((0, 3)), np.empty((0, 2)),
-        np.empty((0, 3)), np.empty(0), np.empty((0, STATES, STATES)),
+        np.empty((0, 3)), np.empty(0), np.empty((0, STATE_SIZE, STATE_SIZE)),
     )  # fmt: skip
 
 
@@ -210,28 +210,28 @@ def predicted(
     onto = np.concatenate([E, d[:, :, None]], axis=2).swapaxes(1, 2) * shorter[:, None, None]
     lever = max(0.0, 1.0 - OWN_WAY_LEVER * (own.walked + 2.0 * own.jitter) / max(float(u @ u), 1e-12))
     by_state = np.zeros((now.n, 3, 6))
-    by_state[:, :, ACROSS] = now.E
-    by_state[:, :, RANGE] = u * (lever * near)[:, None]
+    by_state[:, :, ACROSS_RAY] = now.E
+    by_state[:, :, LOG_RANGE] = u * (lever * near)[:, None]
     by_state[:, 0, 3] = by_state[:, 1, 4] = by_state[:, 2, 5] = step.phi
     moved = onto @ by_state
-    F = np.zeros((now.n, STATES, STATES))
+    F = np.zeros((now.n, STATE_SIZE, STATE_SIZE))
     F[:, :3, _MOVING] = moved
-    F[:, RANGE, RANGE] += 1.0
-    F[:, SPEED, _MOVING] = -s[:, :, None] * moved[:, 2, None, :]
+    F[:, LOG_RANGE, LOG_RANGE] += 1.0
+    F[:, SCALED_SPEED, _MOVING] = -s[:, :, None] * moved[:, 2, None, :]
     for i in (3, 4, 5):
         F[:, i, i] += step.left * shorter
     kept = math.exp(-dt / errors.wander_s)
-    F[:, WANDERING, WANDERING] = kept
-    for i in (LASTING, 8, 9, 10, TURN):
+    F[:, WANDERING_SIZE, WANDERING_SIZE] = kept
+    for i in (LASTING_SIZE, 8, 9, 10, HEADING_OFFSET):
         F[:, i, i] = 1.0
     P = F @ now.P @ F.swapaxes(1, 2)
     P[:, _MOVING, _MOVING] += _shaken(onto * near[:, None, None], s, near * shorter, step, own.walked)
-    P[:, WANDERING, WANDERING] += errors.wandering**2 * (1.0 - kept * kept)
+    P[:, WANDERING_SIZE, WANDERING_SIZE] += errors.wandering**2 * (1.0 - kept * kept)
     P[:, 0, 0] += own.turned
     P[:, 1, 1] += own.turned
     for i in (8, 9, 10):
         P[:, i, i] += drift.place**2 * dt
-    P[:, TURN, TURN] += drift.turn**2 * dt
+    P[:, HEADING_OFFSET, HEADING_OFFSET] += drift.turn**2 * dt
     size = now.size * (1.0, kept)
     log_range = np.clip(now.log_range + np.log(length), _LOG_NEAREST, _LOG_FARTHEST)
     return replace(now, d=d, E=E, log_range=log_range, s=s, size=size, P=0.5 * (P + P.swapaxes(1, 2))), F
@@ -242,7 +242,7 @@ def _shaken(onto: Array, s: Array, scale: Array, step: Decay, walked: float) -> 
     m/s to s."""
     G = np.zeros((len(s), 6, 6))
     G[:, :3, :3] = onto
-    G[:, SPEED, :3] = -s[:, :, None] * G[:, 2, None, :3]
+    G[:, SCALED_SPEED, :3] = -s[:, :, None] * G[:, 2, None, :3]
     Q = np.zeros((len(s), 6, 6))
     for i in (0, 1, 2):
         G[:, 3 + i, 3 + i] = scale
@@ -283,21 +283,21 @@ def corrected_late(now: Beliefs, covariance: Array, nu: Array, V: Array) -> Beli
 
 def _moved(prior: Beliefs, dx: Array) -> tuple[Beliefs, Array]:
     """The means moved by dx (n, 12), P as it was; and T (n, 12, 12), from the old axes to the new."""
-    way = (prior.E @ dx[:, ACROSS, None])[:, :, 0]
+    way = (prior.E @ dx[:, ACROSS_RAY, None])[:, :, 0]
     angle = np.sqrt((way * way).sum(axis=1))[:, None]
     d = prior.d * np.cos(angle) + way * np.sinc(angle / math.pi)
     d /= np.sqrt((d * d).sum(axis=1))[:, None]
     E = across(d)
-    T = np.zeros((prior.n, STATES, STATES)) + _IDENTITY
-    T[:, ACROSS, ACROSS] = E.swapaxes(1, 2) @ prior.E
+    T = np.zeros((prior.n, STATE_SIZE, STATE_SIZE)) + _IDENTITY
+    T[:, ACROSS_RAY, ACROSS_RAY] = E.swapaxes(1, 2) @ prior.E
     moved = Beliefs(
         d,
         E,
-        np.clip(prior.log_range + dx[:, RANGE], _LOG_NEAREST, _LOG_FARTHEST),
-        prior.s + dx[:, SPEED],
-        prior.size + dx[:, LASTING : WANDERING + 1],
-        prior.place + dx[:, PLACE],
-        prior.turn + dx[:, TURN],
+        np.clip(prior.log_range + dx[:, LOG_RANGE], _LOG_NEAREST, _LOG_FARTHEST),
+        prior.s + dx[:, SCALED_SPEED],
+        prior.size + dx[:, LASTING_SIZE : WANDERING_SIZE + 1],
+        prior.place + dx[:, PLACE_ERROR],
+        prior.turn + dx[:, HEADING_OFFSET],
         prior.P,
     )
     return moved, T
@@ -323,9 +323,9 @@ def cartesian(now: Beliefs, step: Decay | None = None) -> Cartesian:
     rho = np.exp(now.log_range)
     r, v = rho[:, None] * now.d, rho[:, None] * now.s
     J = np.zeros((now.n, 6, 6))
-    J[:, :3, ACROSS] = rho[:, None, None] * now.E
-    J[:, :3, RANGE] = r
-    J[:, 3:, RANGE] = v
+    J[:, :3, ACROSS_RAY] = rho[:, None, None] * now.E
+    J[:, :3, LOG_RANGE] = r
+    J[:, 3:, LOG_RANGE] = v
     J[:, 3, 3] = J[:, 4, 4] = J[:, 5, 5] = rho
     if step is not None:
         J[:, :3] += step.phi * J[:, 3:]
@@ -338,4 +338,4 @@ def cartesian(now: Beliefs, step: Decay | None = None) -> Cartesian:
             cov[:, i, 3 + i] += step.pv
             cov[:, 3 + i, i] += step.pv
             cov[:, 3 + i, 3 + i] += step.vv
-    return Cartesian(r, v, cov, np.sqrt(now.P[:, RANGE, RANGE]))
+    return Cartesian(r, v, cov, np.sqrt(now.P[:, LOG_RANGE, LOG_RANGE]))

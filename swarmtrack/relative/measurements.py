@@ -13,14 +13,14 @@ import numpy as np
 
 from swarmtrack.messages import Array
 from swarmtrack.relative.log_range import (
-    ACROSS,
-    LASTING,
-    PLACE,
-    RANGE,
-    SPEED,
-    STATES,
-    TURN,
-    WANDERING,
+    ACROSS_RAY,
+    HEADING_OFFSET,
+    LASTING_SIZE,
+    LOG_RANGE,
+    PLACE_ERROR,
+    SCALED_SPEED,
+    STATE_SIZE,
+    WANDERING_SIZE,
     Beliefs,
     Decay,
     across,
@@ -53,7 +53,7 @@ def seen(now: Beliefs, ray: Array, ray_cov: Array, size: SizedRange) -> Measured
     """By the camera, of n teammates. ray (n, 3) unit vectors in team axes, ray_cov (n, 3, 3) rad²; what was not seen is
     NaN."""
     n = now.n
-    nu, H, R = np.zeros((n, 3)), np.zeros((n, 3, STATES)), np.zeros((n, 3, 3))
+    nu, H, R = np.zeros((n, 3)), np.zeros((n, 3, STATE_SIZE)), np.zeros((n, 3, 3))
     got = np.isfinite(ray[:, 0])
     sized = got & np.isfinite(size.log_range)
     lasting, wandering = (np.where(sized, times, 0.0) for times in (size.lasting, size.wandering))
@@ -65,7 +65,7 @@ def seen(now: Beliefs, ray: Array, ray_cov: Array, size: SizedRange) -> Measured
         nu[:, :2] = np.where(got[:, None], (axes @ ray[:, :, None])[:, :, 0] / ahead[:, None], 0.0)
         nu[:, 2] = np.where(sized, size.log_range - by_size, 0.0)
     H[:, 0, 0] = H[:, 1, 1] = got
-    H[:, 2, RANGE], H[:, 2, LASTING], H[:, 2, WANDERING] = sized, lasting, wandering
+    H[:, 2, LOG_RANGE], H[:, 2, LASTING_SIZE], H[:, 2, WANDERING_SIZE] = sized, lasting, wandering
     R[:, :2, :2] = np.where(got[:, None, None], axes @ ray_cov @ now.E, np.eye(2))
     R[:, 2, 2] = size.variance
     return Measured(nu, H, R)
@@ -99,16 +99,16 @@ class Carried(NamedTuple):
         """then: of one row, at the scan; step: from there on."""
         rho = float(np.exp(then.log_range[0]))
         r, v = rho * then.d[0], rho * then.s[0]
-        by_r, by_v = np.zeros((3, STATES)), np.zeros((3, STATES))
-        by_r[:, ACROSS] = rho * then.E[0]
-        by_r[:, RANGE] = r
-        by_v[:, RANGE] = v
-        by_v[:, SPEED] = rho * np.eye(3)
+        by_r, by_v = np.zeros((3, STATE_SIZE)), np.zeros((3, STATE_SIZE))
+        by_r[:, ACROSS_RAY] = rho * then.E[0]
+        by_r[:, LOG_RANGE] = r
+        by_v[:, LOG_RANGE] = v
+        by_v[:, SCALED_SPEED] = rho * np.eye(3)
         P = then.P[0]
-        vague, shared = float(P[RANGE, RANGE]), rho * P[RANGE, SPEED]
+        vague, shared = float(P[LOG_RANGE, LOG_RANGE]), rho * P[LOG_RANGE, SCALED_SPEED]
         bent_v = 0.5 * vague * v + shared
         more_v = 0.5 * vague**2 * np.outer(v, v) + vague * (np.outer(v, shared) + np.outer(shared, v))
-        more_v += rho**2 * vague * P[SPEED, SPEED] + np.outer(shared, shared)
+        more_v += rho**2 * vague * P[SCALED_SPEED, SCALED_SPEED] + np.outer(shared, shared)
         return cls(
             r + step.phi * v,
             step.left * v,
@@ -129,7 +129,7 @@ def said_velocity(at: Carried, velocity: Array, cov: Array) -> Measured:
     """The teammate's own velocity (3,) m/s, by its own north; cov (3, 3)."""
     turned = _ABOUT_DOWN @ at.v
     H = at.by_v + at.turn * _ABOUT_DOWN @ at.by_v
-    H[:, TURN] += turned
+    H[:, HEADING_OFFSET] += turned
     nu = velocity - at.v - at.bent_v - at.turn * turned
     return Measured(nu, H, cov + at.more_v + at.noise_v * np.eye(3))
 
@@ -138,7 +138,7 @@ def said_place(at: Carried, place: Array, cov: Array) -> Measured:
     """Where the teammate says it is, (3,) m from where the camera was at the scan; cov (3, 3): of what does not last,
     as what lasts is a state."""
     H = at.by_x.copy()
-    H[:, PLACE] += np.eye(3)
+    H[:, PLACE_ERROR] += np.eye(3)
     return Measured(place - at.x - at.bent_x - at.place, H, cov + at.more_x + at.noise_x * np.eye(3))
 
 

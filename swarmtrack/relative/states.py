@@ -36,13 +36,13 @@ from swarmtrack.messages import (
 from swarmtrack.relative import measurements
 from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.log_range import (
-    ACROSS,
-    LASTING,
-    PLACE,
-    RANGE,
-    STATES,
-    TURN,
-    WANDERING,
+    ACROSS_RAY,
+    HEADING_OFFSET,
+    LASTING_SIZE,
+    LOG_RANGE,
+    PLACE_ERROR,
+    STATE_SIZE,
+    WANDERING_SIZE,
     Beliefs,
     Drift,
     OwnWay,
@@ -165,7 +165,7 @@ class RelativeStates:
         # A name that comes back begins anew: what is older is of another row.
         self._exact_since |= {look.keys[i]: t for i in fresh}
         keys = known + tuple(look.keys[i] for i in fresh)
-        self._now = _Moment(t, camera, velocity, keys, beliefs, np.empty((0, STATES, STATES)))
+        self._now = _Moment(t, camera, velocity, keys, beliefs, np.empty((0, STATE_SIZE, STATE_SIZE)))
 
     def _carry(self, look: TeamLook) -> Beliefs:
         """The rows that go on, at the time of the look and corrected by it."""
@@ -235,7 +235,7 @@ class RelativeStates:
         self, prior: Beliefs, found: Measured, t: float, keys: tuple[tuple[int, int], ...]
     ) -> tuple[Beliefs, Array]:
         prior = self._surprised(prior, found, t, keys)
-        for key, sized in zip(keys, found.H[:, 2, RANGE].tolist(), strict=True):
+        for key, sized in zip(keys, found.H[:, 2, LOG_RANGE].tolist(), strict=True):
             if sized:
                 self._sources[key].add("size")
         return corrected(prior, found.H, found.nu, found.R)
@@ -261,7 +261,7 @@ class RelativeStates:
         x, y = found.nu[:, 0], found.nu[:, 1]
         times = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b) / GATE[2]
         by_size = found.nu[:, 2] ** 2 / S[:, 2, 2] / GATE[1]
-        for i in np.flatnonzero(found.H[:, 2, RANGE]).tolist():
+        for i in np.flatnonzero(found.H[:, 2, LOG_RANGE]).tolist():
             if by_size[i] <= 1.0:
                 self._odd_since.pop(keys[i], None)
             elif t - self._odd_since.setdefault(keys[i], t) < ODD_BOX_LASTS_S:
@@ -292,14 +292,17 @@ class RelativeStates:
         """A row of its own, for look.keys[i]."""
         key, ray = look.keys[i], look.ray[i]
         p = self._p
-        P = np.zeros((STATES, STATES))
+        P = np.zeros((STATE_SIZE, STATE_SIZE))
         E = across(ray[None])
-        P[ACROSS, ACROSS] = E[0].T @ look.ray_cov[i] @ E[0]
-        P[LASTING, LASTING], P[WANDERING, WANDERING] = p.lasting**2, p.box_width.wander_sigma**2
-        P[TURN, TURN] = p.turn_sigma**2
+        P[ACROSS_RAY, ACROSS_RAY] = E[0].T @ look.ray_cov[i] @ E[0]
+        P[LASTING_SIZE, LASTING_SIZE], P[WANDERING_SIZE, WANDERING_SIZE] = (
+            p.lasting**2,
+            p.box_width.wander_sigma**2,
+        )
+        P[HEADING_OFFSET, HEADING_OFFSET] = p.turn_sigma**2
         said = self._said.get(key[0])
         lasting = UNREPORTED_PLACE_SIGMA_M**2 if said is None else said.lasting
-        P[PLACE, PLACE] = lasting * np.eye(3)
+        P[PLACE_ERROR, PLACE_ERROR] = lasting * np.eye(3)
         sized = self._sized(look, [i])
         lasts, wanders = float(sized.lasting[0]), float(sized.wandering[0])
         by_size = (
@@ -316,16 +319,18 @@ class RelativeStates:
         if placed is not None:
             log_range, variance = placed
             # What it says is its place less f: as far as that is wrong, so is the range.
-            P[RANGE, PLACE] = P[PLACE, RANGE] = -ray * lasting * math.exp(-log_range)
+            P[LOG_RANGE, PLACE_ERROR] = P[PLACE_ERROR, LOG_RANGE] = -ray * lasting * math.exp(-log_range)
             assert said is not None
             sources.add(said.source)
         elif math.isfinite(range_by_size):
             log_range, variance = range_by_size, by_size
-            P[RANGE, LASTING] = P[LASTING, RANGE] = -lasts * P[LASTING, LASTING]
-            P[RANGE, WANDERING] = P[WANDERING, RANGE] = -wanders * P[WANDERING, WANDERING]
+            P[LOG_RANGE, LASTING_SIZE] = P[LASTING_SIZE, LOG_RANGE] = -lasts * P[LASTING_SIZE, LASTING_SIZE]
+            P[LOG_RANGE, WANDERING_SIZE] = P[WANDERING_SIZE, LOG_RANGE] = (
+                -wanders * P[WANDERING_SIZE, WANDERING_SIZE]
+            )
             sources.add("size")
         log_range = min(max(log_range, math.log(RELATIVE_NEAREST_M)), math.log(RELATIVE_FARTHEST_M))
-        P[RANGE, RANGE] = variance
+        P[LOG_RANGE, LOG_RANGE] = variance
         pace = max(p.speed_sigma, p.fellows * math.sqrt(float(look.velocity @ look.velocity)))
         self._pace[key] = pace**2
         speed = pace * math.exp(-log_range)
@@ -485,7 +490,7 @@ class RelativeStates:
 
     def _read(self, now: _Moment) -> Reading:
         """For all readers until something changes."""
-        stated = np.flatnonzero(now.beliefs.P[:, RANGE, RANGE] < VAGUE_LOG_RANGE**2).tolist()
+        stated = np.flatnonzero(now.beliefs.P[:, LOG_RANGE, LOG_RANGE] < VAGUE_LOG_RANGE**2).tolist()
         keys = [now.keys[i] for i in stated]
         sources = [tuple(name for name in RELATIVE_SOURCES if name in self._sources[key]) for key in keys]
         return Reading(

@@ -1,7 +1,7 @@
 """How two replays of one flight differ: which tracks they share, how far apart these are, who is taken for whom.
 
-Scans are paired by the number of their frame, and in each the confirmed tracks one to one within `GATE_PX`, the nearest
-sum of distances, as many as possible.
+Scans are paired by the number of their frame, and in each the confirmed tracks one to one within `SAME_TRACK_PX`, the
+nearest sum of distances, as many as possible.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from swarmtrack.messages import FOREIGN, Identity, RelativeState, ScanReport, Tr
 from swarmtrack.relative.record import relative_record
 from swarmtrack.tracking.association import most_likely_matching
 
-GATE_PX = 15.0
-APART_PX = 1.0  # from here on two tracks have parted
+SAME_TRACK_PX = 15.0
+TRACKS_PARTED_PX = 1.0  # from here on two tracks have parted
 
 
 class ConfirmedTrack(NamedTuple):
@@ -124,7 +124,7 @@ def compare(one: Iterable[SeenScan], other: Iterable[SeenScan]) -> ReplayDiff:
         rmse = math.sqrt(float(np.mean(np.square(distances)))) if distances else math.nan
         course.append(ScanDiff(a.t, (len(a.tracks), len(b.tracks)), len(pairs), rmse, len(renamed)))
         alike = len(pairs) == len(a.tracks) == len(b.tracks) and not renamed
-        if parted is None and not (alike and max(distances, default=0.0) <= APART_PX):
+        if parted is None and not (alike and max(distances, default=0.0) <= TRACKS_PARTED_PX):
             parted = a.t
     return ReplayDiff(
         scans=len(common),
@@ -151,7 +151,7 @@ def _pairs(
     b = np.array([(track.u, track.v) for track in other])
     distance = np.linalg.norm(a[:, None] - b[None], axis=2)
     # A pair is worth more than any sum of distances within the gate, so there are as many as possible.
-    rows, columns = most_likely_matching(np.where(distance <= GATE_PX, 1e6 - distance, -np.inf))
+    rows, columns = most_likely_matching(np.where(distance <= SAME_TRACK_PX, 1e6 - distance, -np.inf))
     return [(one[i], other[j]) for i, j in zip(rows, columns, strict=True)]
 
 

@@ -33,7 +33,7 @@ from swarmtrack.recording.settings import FlightSettings, read_settings
 from swarmtrack.replay.recorded_frames import jpeg_of
 from swarmtrack.runtime.perception import make_ego_history
 
-TOPICS = {
+LABEL_TOPICS = {
     inputs.FORM_OF_KIND[kind].topic
     for kind in (EgoPose, FlightState, AutopilotRebooted, Announcement, SightingReport)
 }
@@ -41,7 +41,7 @@ FOREVER = 1e9  # s of history
 REPORT_GAP = 1.5  # s between two places that a teammate told of, to be somewhere on the line between them
 POSE_GAP = 0.3  # s from the nearest pose of a recording
 UNSURE_PX, UNSURE_SHARE = 2.0, 0.2  # a pixel less sure than this plus this share of the box is no label
-NEAREST = 0.2  # m
+NEAREST_LABELLED_M = 0.2  # m
 
 
 class Body(NamedTuple):
@@ -182,7 +182,7 @@ class FlightLabels:
         points = team_from_camera.inverse().transform(np.vstack([there.position[None], body]))
         pixels, _, valid = camera.project(points)
         depth = float(camera.depth(points[:1])[0])
-        if depth < NEAREST or not valid.all():
+        if depth < NEAREST_LABELLED_M or not valid.all():
             return None
         u, v = pixels[0]
         if not (0 <= u <= camera.width - 1 and 0 <= v <= camera.height - 1):
@@ -217,7 +217,7 @@ def _read(recording: Recording, shift: float) -> RecordedDrone:
     ego = make_ego_history(settings.config, settings.start, history_s=FOREVER)
     begin = float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
     flown = RecordedDrone(recording, settings, ego, begin + shift)
-    for message in recording.messages(TOPICS):
+    for message in recording.messages(LABEL_TOPICS):
         _, event = inputs.decode(message.topic, message.data)
         match event:
             case EgoPose():

@@ -15,7 +15,7 @@ mpl.use("Agg")
 import matplotlib.pyplot as plt
 from matplotlib.ticker import MaxNLocator
 
-COLOURS = ("#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2")
+PLOT_COLOURS = ("#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2")
 
 
 def plot(diffs: Mapping[int, ReplayDiff], path: Path, title: str) -> None:
@@ -24,7 +24,7 @@ def plot(diffs: Mapping[int, ReplayDiff], path: Path, title: str) -> None:
         3, 1, sharex=True, figsize=(9.0, 7.0), height_ratios=(2, 1, 1), layout="constrained"
     )
     for k, (drone_id, diff) in enumerate(sorted(diffs.items())):
-        colour = COLOURS[k % len(COLOURS)]
+        colour = PLOT_COLOURS[k % len(PLOT_COLOURS)]
         t = [scan.t for scan in diff.course]
         apart.plot(t, [scan.rmse_px for scan in diff.course], color=colour, lw=1.0, label=f"drone {drone_id}")
         missing = [scan.tracks[0] - scan.tracks[1] for scan in diff.course]

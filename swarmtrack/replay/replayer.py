@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
 
 ANSWER_EVERY = 10
-FRAMES_KEPT = 64  # read, and their detections not met yet
+REPLAYED_FRAMES_KEPT = 64  # read, and their detections not met yet
 
-TOPICS = frozenset(
+REPLAYED_TOPICS = frozenset(
     {*inputs.FORM_OF_TOPIC, outputs.ASKED_TOPIC, outputs.TRACKS_TOPIC, outputs.SETPOINTS_TOPIC}
 )
 
@@ -52,7 +52,7 @@ class Stream(NamedTuple):
     parted_s: float | None
 
 
-NOTHING = Stream(0, 0, None)
+NO_STREAM = Stream(0, 0, None)
 
 
 @dataclass(slots=True)
@@ -87,11 +87,11 @@ class Replayed:
     """Of the inputs: how often somebody asked for the tracks."""
     inputs_lost: int = 0
     """Missing in the recording, by their running numbers: from there on nothing need be the same."""
-    scans_compared: Stream = NOTHING
-    answers_compared: Stream = NOTHING
-    states_compared: Stream = NOTHING
+    scans_compared: Stream = NO_STREAM
+    answers_compared: Stream = NO_STREAM
+    states_compared: Stream = NO_STREAM
     """Of every scan, where teammates are in metres; older recordings hold none."""
-    setpoints_compared: Stream = NOTHING
+    setpoints_compared: Stream = NO_STREAM
     """What a drone that flew in formation was told to fly."""
     setpoints: list[LocalSetpoint] = field(default_factory=list)
     digest: str = ""
@@ -137,7 +137,7 @@ class Replayer:
         perceived = self._door.perceived
         self._expectations = [PerceivedExpectation(perceived, k) for k in range(len(settings.cameras))]
         self._recorded_frames = RecordedFrames(len(settings.cameras))
-        self._topics = TOPICS if detector is None else TOPICS | self._recorded_frames.topics
+        self._topics = REPLAYED_TOPICS if detector is None else REPLAYED_TOPICS | self._recorded_frames.topics
         self._watcher = watcher
         self._answer_every = 1 if every_answer or watcher is not None else ANSWER_EVERY
         self._result = Replayed()
@@ -262,6 +262,6 @@ class Replayer:
         if frame is None:
             return
         self._frames[frame.camera, frame.sequence] = frame
-        while len(self._frames) > FRAMES_KEPT:
+        while len(self._frames) > REPLAYED_FRAMES_KEPT:
             # The one that was read first.
             del self._frames[next(iter(self._frames))]

@@ -18,10 +18,10 @@ from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.replay.recorded_frames import RecordedFrames
 
-WIDEST = 1920  # px, of all pictures beside each other
+WIDEST_TILED_PX = 1920  # px, of all pictures beside each other
 MOST_IN_A_ROW = 3
-USUAL_FPS = 15.0
-WHITE = (255, 255, 255)
+USUAL_TILED_FPS = 15.0
+TILE_WHITE = (255, 255, 255)
 
 
 def write_video(
@@ -64,14 +64,14 @@ def _drawn(frame: Frame, report: ScanReport, begin: float, settings: FlightSetti
     tracks = drawn(as_seen(report, *lenses), frame.camera, alone=settings.config.is_alone)
     image = annotate(frame, frame.t - begin, tracks, trails)
     if len(lenses) > 1:
-        write_text(image, f"camera {frame.camera + 1}", (8, image.shape[0] - 10), WHITE)
+        write_text(image, f"camera {frame.camera + 1}", (8, image.shape[0] - 10), TILE_WHITE)
     return image
 
 
 def _fps(times: list[float]) -> float:
     """Of one camera's frames."""
     steps = np.diff(times)
-    return 1.0 / float(np.median(steps)) if len(steps) and np.median(steps) > 0.0 else USUAL_FPS
+    return 1.0 / float(np.median(steps)) if len(steps) and np.median(steps) > 0.0 else USUAL_TILED_FPS
 
 
 class Tiles:
@@ -82,7 +82,7 @@ class Tiles:
         count = len(sizes)
         self._columns = count if count <= MOST_IN_A_ROW else (count + 1) // 2
         width, height = max(w for w, _ in sizes), max(h for _, h in sizes)
-        self._share = min(1.0, WIDEST / (self._columns * width))
+        self._share = min(1.0, WIDEST_TILED_PX / (self._columns * width))
         # Encoders want even sides.
         self._width, self._height = (2 * math.ceil(0.5 * self._share * side) for side in (width, height))
         rows = math.ceil(count / self._columns)

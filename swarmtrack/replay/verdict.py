@@ -40,13 +40,13 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.tracks import TracksMessage, tracks_message, tracks_sequence
 
-TOPICS = frozenset({HEARD_TOPIC, FLIGHT_TOPIC, TRUTH_TOPIC, VERDICT_TOPIC})
-SAME_PLACE_M = 1e-6  # of a pose computed again
+VERDICT_TOPICS = frozenset({HEARD_TOPIC, FLIGHT_TOPIC, TRUTH_TOPIC, VERDICT_TOPIC})
+SAME_VERDICT_PLACE_M = 1e-6  # of a pose computed again
 
 
 Answers = Mapping[tuple[int, str], Published]
 """By drone and boot."""
-NOTHING = Published(0, None)
+NOTHING_PUBLISHED = Published(0, None)
 
 
 @dataclass(slots=True)
@@ -63,7 +63,7 @@ class Judged:
     def unreplayed(self, answers: Answers) -> int:
         """How many of the track messages that were heard did not come out of the replay."""
         return sum(
-            not 1 <= number <= answers.get(life, NOTHING).messages
+            not 1 <= number <= answers.get(life, NOTHING_PUBLISHED).messages
             for life, numbers in self.numbers.items()
             for number in numbers
         )
@@ -155,7 +155,7 @@ class _Stage:
         await self._watch.judge_the_rest()
 
     async def _samples(self) -> AsyncIterator[Sample]:
-        for message in self._recording.messages(TOPICS):
+        for message in self._recording.messages(VERDICT_TOPICS):
             if message.topic == HEARD_TOPIC:
                 heard = read_heard(message)
                 self._clock.set(heard.t, heard.utc)
@@ -178,7 +178,7 @@ class _Stage:
         """The recorded truth is what the flight was judged by; another version may fly the same scenario otherwise."""
         true = read_truth(message)
         flown = self._scenario.world.drones.get(true.drone_id)
-        if flown is None or np.abs(flown.position(true.t_s) - true.position_m).max() > SAME_PLACE_M:
+        if flown is None or np.abs(flown.position(true.t_s) - true.position_m).max() > SAME_VERDICT_PLACE_M:
             raise RecordingError(
                 f"{self._recording.folder}: drone {true.drone_id} flew elsewhere at {true.t_s:.1f} s than this "
                 f"program's scenario {self._scenario.name} says, expected the version that recorded it "
@@ -201,7 +201,7 @@ class _Stage:
             self.numbers.setdefault(life, []).append(number)
             if self._answers is None:
                 return heard.sample
-            published = self._answers.get(life, NOTHING)
+            published = self._answers.get(life, NOTHING_PUBLISHED)
             if not 1 <= number <= published.messages:
                 return None
             if published.changed is None:

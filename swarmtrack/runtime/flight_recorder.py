@@ -25,11 +25,11 @@ from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.records import as_record
 
 _INPUTS = {form.kind: Topic.of_json(form.topic, schemas.of_form(form)) for form in inputs.FORMS}
-TRACKS = Topic.of_json(outputs.TRACKS_TOPIC, schemas.TRACKS)
-ASKED = Topic.of_json(outputs.ASKED_TOPIC, schemas.ASKED)
-SETPOINTS = Topic.of_json(outputs.SETPOINTS_TOPIC, schemas.SETPOINTS)
-SAID = Topic.of_json("/said", schemas.SAID)
-HEALTH = Topic.of_json("/health", schemas.HEALTH)
+TRACKS_RECORDS = Topic.of_json(outputs.TRACKS_TOPIC, schemas.TRACKS_SCHEMA)
+ASKED_RECORDS = Topic.of_json(outputs.ASKED_TOPIC, schemas.ASKED_SCHEMA)
+SETPOINTS_RECORDS = Topic.of_json(outputs.SETPOINTS_TOPIC, schemas.SETPOINTS_SCHEMA)
+SAID_RECORDS = Topic.of_json("/said", schemas.SAID_SCHEMA)
+HEALTH_RECORDS = Topic.of_json("/health", schemas.HEALTH_SCHEMA)
 
 
 class FlightRecorder:
@@ -125,17 +125,17 @@ class FlightRecorder:
             write(topic, log_time, data)
 
     def _write_asked(self, n: int, tracks: TrackList, write: Write, log_time: int) -> None:
-        write(ASKED, log_time, outputs.encode_asked(n, tracks))
+        write(ASKED_RECORDS, log_time, outputs.encode_asked(n, tracks))
 
     def _write_command(
         self, n: int, engagement: Engagement, told: LocalSetpoint, write: Write, log_time: int
     ) -> None:
-        write(SETPOINTS, log_time, outputs.encode_command(n, engagement, told))
+        write(SETPOINTS_RECORDS, log_time, outputs.encode_command(n, engagement, told))
 
     def _write_report(
         self, report: ScanReport, world_from_camera: Pose | None, write: Write, log_time: int
     ) -> None:
-        write(TRACKS, log_time, outputs.encode_report(report))
+        write(TRACKS_RECORDS, log_time, outputs.encode_report(report))
         exposed_ns = self._ns(report.tracks.t)
         topic, data = self._views.of_report(report, exposed_ns)
         write(topic, log_time, data)
@@ -149,10 +149,10 @@ class FlightRecorder:
             "sequence": report.sequence,
             "t_s": report.t,
         }
-        write(SAID, log_time, msgspec.json.encode(record))
+        write(SAID_RECORDS, log_time, msgspec.json.encode(record))
 
     def _write_health(self, message: HealthMessage, write: Write, log_time: int) -> None:
-        write(HEALTH, log_time, msgspec.json.encode(as_record(message)))
+        write(HEALTH_RECORDS, log_time, msgspec.json.encode(as_record(message)))
         for topic, data in self._views.of_events(message.events, log_time):
             write(topic, log_time, data)
 

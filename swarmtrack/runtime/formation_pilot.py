@@ -27,16 +27,16 @@ from swarmtrack.runtime.guard_process import GuardLine
 
 log = logging.getLogger(__name__)
 
-PERIOD_S = 0.1
+FORMATION_PERIOD_S = 0.1
 # s: a guard that has sent nothing for so long, though it was told to, stands still, or its link leads nowhere.
-QUIET_S = 1.0
+FORMATION_QUIET_S = 1.0
 # s that a reason to hold must last to be said.
 SAID_AFTER_S = 0.5
 # Times the clearance: whoever comes nearer is said to the pilot; and again, once nobody was so near for so long [s].
-NEAR, FORGOTTEN_S = 1.5, 5.0
+NEAR_MISS_FACTOR, NEAR_MISS_FORGOTTEN_S = 1.5, 5.0
 # What holds a drone that may be moving all the same.
 TAKE_OVER = (Why.HEIGHT_DOUBT, Why.DIVERGES)
-NOWHERE: Velocity = (math.nan, math.nan, math.nan)
+UNKNOWN_VELOCITY: Velocity = (math.nan, math.nan, math.nan)
 
 
 class FormationPilot:
@@ -68,7 +68,7 @@ class FormationPilot:
             ("slot_north_m", north),
             ("slot_east_m", east),
         )
-        self._near = NEAR * parameters.clearance
+        self._near = NEAR_MISS_FACTOR * parameters.clearance
         self._near_at = -math.inf
         self._newest: LocalSetpoint | None = None
         self._number = 0
@@ -91,7 +91,7 @@ class FormationPilot:
                 now = self._clock.now()
                 self.decide(now)
                 # After a stall no decisions are made up for.
-                due = max(due + PERIOD_S, now)
+                due = max(due + FORMATION_PERIOD_S, now)
                 await asyncio.sleep(due - now)
         finally:
             self.stop()
@@ -114,7 +114,7 @@ class FormationPilot:
             guard.stand()
 
     def _decision(self, told: LocalSetpoint) -> Decision:
-        place_t, place = self._autopilot.place or (-math.inf, NOWHERE)
+        place_t, place = self._autopilot.place or (-math.inf, UNKNOWN_VELOCITY)
         return Decision(
             self._engagement.number, told.setpoint.t, told.velocity, told.yaw_rate, place, place_t, told.room
         )
@@ -135,7 +135,7 @@ class FormationPilot:
             )
         if guard.sent != self._sent or not self._flown:
             self._sent, self._sent_at = guard.sent, now
-        elif now - self._sent_at > QUIET_S:
+        elif now - self._sent_at > FORMATION_QUIET_S:
             engagement.fail("the guard sends nothing")
         if not guard.alive:
             if engagement.armed:
@@ -224,7 +224,7 @@ class FormationPilot:
     def _look_for_near(self, nearest: float | None, now: float) -> None:
         if nearest is None or nearest >= self._near:
             return
-        if now - self._near_at > FORGOTTEN_S:
+        if now - self._near_at > NEAR_MISS_FORGOTTEN_S:
             self._notices.add(Severity.WARNING, f"formation: somebody {nearest:.1f} m away")
             log.warning("formation: somebody is %.1f m away, at least", nearest)
         self._near_at = now

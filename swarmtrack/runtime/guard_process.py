@@ -17,7 +17,7 @@ from swarmtrack.guard import Decision, GuardLimits
 log = logging.getLogger(__name__)
 
 # s that the guard is waited for when the agent stops: its last words, and the end of a process.
-ENDS_WITHIN_S = 0.25 + guard.LAST_WORDS_S
+ENDS_WITHIN_S = 0.25 + guard.GUARD_LAST_WORDS_S
 # Onboard computers are 191 … 194 (MAV_COMP_ID_ONBOARD_COMPUTER).
 FIRST_COMPONENT, COMPONENTS = 191, 4
 
@@ -147,13 +147,13 @@ class GuardProcess:
         self._tell(guard.STAND)
 
     def end(self, number: int) -> None:
-        self._tell(guard.END + guard.NUMBER.pack(number))
+        self._tell(guard.END + guard.SETPOINT_NUMBER.pack(number))
 
     def news(self) -> GuardNews:
         releases = []
         while self._socket is not None:
             try:
-                data = self._socket.recv(guard.LARGEST)
+                data = self._socket.recv(guard.LARGEST_DATAGRAM_BYTES)
             except BlockingIOError:
                 break
             except OSError:
@@ -165,8 +165,8 @@ class GuardProcess:
             elif kind == guard.SENT:
                 self._counts = guard.COUNTS.unpack(body)
             elif kind == guard.RELEASED:
-                (number,) = guard.NUMBER.unpack(body[: guard.NUMBER.size])
-                releases.append(Release(number, body[guard.NUMBER.size :].decode()))
+                (number,) = guard.SETPOINT_NUMBER.unpack(body[: guard.SETPOINT_NUMBER.size])
+                releases.append(Release(number, body[guard.SETPOINT_NUMBER.size :].decode()))
         died, self._died = self._died, False
         return GuardNews(tuple(releases), died)
 

@@ -16,7 +16,7 @@ from swarmtrack.messages import Array, IdClash, LinkStatus, Membership, PeerDepa
 from swarmtrack.outputs import periods
 from swarmtrack.perceived import Perceived
 from swarmtrack.runtime.meters import LatencyMeter, ProcessMeter, RateMeter
-from swarmtrack.wire.fields import VERSION
+from swarmtrack.wire.fields import WIRE_VERSION
 from swarmtrack.wire.health import (
     ConsistencyHealth,
     GyroBiasHealth,
@@ -30,7 +30,7 @@ from swarmtrack.wire.health import (
     link_health,
 )
 
-EVENTS_KEPT = 16
+HEALTH_EVENTS_KEPT = 16
 # Messages in a row, one a second, in which the tracks misjudge themselves, from which on it is said.
 MISFITS_SAID = 20
 # s between two looks at how late the event loop is.
@@ -112,8 +112,8 @@ class Health:
         self.exposure_to_detector = LatencyMeter()
         self.detector = LatencyMeter()
         self.detections_to_published = LatencyMeter()
-        self.loop_lag = LatencyMeter(round(periods.HEALTH / LAG_PERIOD))
-        self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
+        self.loop_lag = LatencyMeter(round(periods.HEALTH_PERIOD_S / LAG_PERIOD))
+        self.events: deque[str] = deque(maxlen=HEALTH_EVENTS_KEPT)
         self.drops: Counter[str] = Counter()
         self.tracked_at: float | None = None
         """When a scan was tracked last, by the wall; None: none yet."""
@@ -241,7 +241,7 @@ class Health:
         for counts in (asdict(perceived.counters), perceived.part_counters, self.drops):
             drops.update(counts)  # adds: Onboard and its tracker both refuse late scans
         return HealthMessage(
-            version=VERSION,
+            version=WIRE_VERSION,
             t_utc_s=self._clock.utc(),
             boot=self._boot,
             uptime_s=now - self._started,

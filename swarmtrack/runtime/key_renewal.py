@@ -7,7 +7,7 @@ import contextlib
 import logging
 
 from swarmtrack.errors import TransportError
-from swarmtrack.security.roster_watch import LOOK_S, RosterWatch
+from swarmtrack.security.roster_watch import ROSTER_PERIOD_S, RosterWatch
 from swarmtrack.transport.zenoh_transport import ZenohTransport
 
 log = logging.getLogger(__name__)
@@ -29,7 +29,7 @@ class KeyRenewal:
         """Until cancelled."""
         while True:
             with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_S):
+                async with asyncio.timeout(ROSTER_PERIOD_S):
                     await self._now.wait()
             self._now.clear()
             found = await asyncio.to_thread(self._watch.news)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-WINDOW = 512  # values a meter remembers
+METER_WINDOW_VALUES = 512  # values a meter remembers
 
 
 class Spread(NamedTuple):
@@ -41,7 +41,7 @@ class RateMeter:
 class LatencyMeter:
     """The last `window` durations of one kind, seconds."""
 
-    def __init__(self, window: int = WINDOW) -> None:
+    def __init__(self, window: int = METER_WINDOW_VALUES) -> None:
         self._values: deque[float] = deque(maxlen=window)
 
     def add(self, seconds: float) -> None:

@@ -149,7 +149,7 @@ class HealthPublisher:
         """Until cancelled."""
         self._health.message()  # starts the meters
         while True:
-            await asyncio.sleep(periods.HEALTH)
+            await asyncio.sleep(periods.HEALTH_PERIOD_S)
             self._publish()
 
     def _publish(self) -> None:

@@ -1,7 +1,8 @@
 """A queue and a thread that write a recording: whoever has something to write never waits for the disk.
 
-The thread takes the queue every `PERIOD`, writes it down and flushes the file. If the disk is slow the queue grows, up
-to `MAX_QUEUED`; what comes then is lost and counted. If the disk is full the writer says so and tries again.
+The thread takes the queue every `RECORDING_THREAD_PERIOD_S`, writes it down and flushes the file. If the disk is slow
+the queue grows, up to `MAX_QUEUED`; what comes then is lost and counted. If the disk is full the writer says so and
+tries again.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from swarmtrack.recording.writer import Bounds, Preface, RecordingWriter, Topic,
 
 log = logging.getLogger(__name__)
 
-PERIOD = 0.05  # s between two looks into the queue: to be woken by every sample costs more than to write it
+RECORDING_THREAD_PERIOD_S = (
+    0.05  # s between two looks into the queue: to be woken by every sample costs more than to write it
+)
 MAX_QUEUED = 8192  # entries, twenty seconds of flight: a memory card that is cleaning up takes ten
-CLOSE_S = 1.0  # s for what is still queued, and the last segment
+RECORDING_THREAD_CLOSE_S = 1.0  # s for what is still queued, and the last segment
 
 Write = Callable[[Topic, int, bytes], None]
 """Topic, time [ns, UTC], data."""
@@ -54,10 +57,10 @@ class RecordingThread:
             if not self.waits or self._thread is None or not self._thread.is_alive():
                 self._overrun += 1
                 return
-            time.sleep(PERIOD)
+            time.sleep(RECORDING_THREAD_PERIOD_S)
         self._queue.append((log_time_ns, job))
 
-    def close(self, seconds: float = CLOSE_S) -> None:
+    def close(self, seconds: float = RECORDING_THREAD_CLOSE_S) -> None:
         """Write what is queued and complete the last segment; gives up on a disk that hangs."""
         self._stop.set()
         if self._thread is not None:
@@ -116,7 +119,7 @@ class RecordingThread:
 
         ended = False
         while not ended:
-            ended = self._stop.wait(PERIOD)
+            ended = self._stop.wait(RECORDING_THREAD_PERIOD_S)
             for _ in range(len(self._queue)):
                 log_time_ns, job = self._queue.popleft()
                 job(write, log_time_ns)

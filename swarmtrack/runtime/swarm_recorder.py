@@ -18,7 +18,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.errors import RecordingError
 from swarmtrack.geometry import pose as geometry
 from swarmtrack.geometry.rotation import to_quaternion
-from swarmtrack.recording.reader import FORMAT, Message
+from swarmtrack.recording.reader import RECORDING_FORMAT, Message
 from swarmtrack.recording.settings import versions
 from swarmtrack.recording.writer import Attachment, Bounds, Preface, Topic
 from swarmtrack.runtime.recording_thread import RecordingThread, Write, folder_name
@@ -34,7 +34,7 @@ HEARD = Topic(HEARD_TOPIC, "swarmtrack.Heard", b"", "msgpack", "")
 FLIGHT = Topic.of_json(FLIGHT_TOPIC, {"title": "swarmtrack.Flight", "type": "object"})
 TRUTH = Topic.of_json(TRUTH_TOPIC, {"title": "swarmtrack.Truth", "type": "object"})
 VERDICT = Topic.of_json(VERDICT_TOPIC, {"title": "swarmtrack.Verdict", "type": "object"})
-CLOSE_S = 10.0  # nobody waits for us to end
+SWARM_RECORDER_CLOSE_S = 10.0  # nobody waits for us to end
 
 T = TypeVar("T")
 
@@ -105,14 +105,14 @@ class SwarmRecorder:
         self._thread.open(
             root / folder_name(utc, self._team),
             Preface(
-                {"format": FORMAT, "kind": "swarm", **known, **(metadata or {}), **versions()},
+                {"format": RECORDING_FORMAT, "kind": "swarm", **known, **(metadata or {}), **versions()},
                 tuple(attachments),
             ),
             Bounds(root, **{"drop_oldest": False, **(bounds or {})}),
         )
 
     def close(self) -> None:
-        self._thread.close(CLOSE_S)
+        self._thread.close(SWARM_RECORDER_CLOSE_S)
 
     @property
     def thread(self) -> RecordingThread:

@@ -51,7 +51,7 @@ from swarmtrack.wire.sightings import sightings_message
 log = logging.getLogger(__name__)
 
 # Lines about one teammate, in so many s: nobody may fill our log, or hide others in it.
-LINES, LINES_PERIOD = 16, 10.0
+LOG_LINES_PER_PERIOD, LOG_LINES_PERIOD_S = 16, 10.0
 
 
 class Teamwork:
@@ -288,11 +288,11 @@ class Teamwork:
 
     def _note(self, about: int, line: str, level: int) -> None:
         now = self._clock.now()
-        if now - self._lines_since >= LINES_PERIOD:
+        if now - self._lines_since >= LOG_LINES_PERIOD_S:
             self._lines.clear()
             self._lines_since = now
         self._lines[about] += 1
-        if self._lines[about] > LINES:
+        if self._lines[about] > LOG_LINES_PER_PERIOD:
             self._health.drops["events_untold"] += 1
             return
         self._health.events.append(line)

@@ -25,7 +25,7 @@ from swarmtrack.errors import KeysError
 from swarmtrack.security import names
 from swarmtrack.security.keyfiles import (
     CA_CERTIFICATE,
-    PRIVATE,
+    PRIVATE_FILE_MODE,
     PUBLIC,
     ROSTER,
     ROSTER_SIGNATURE,
@@ -107,7 +107,7 @@ def create_authority(folder: Path, team: str, now: datetime, force: bool = False
     )
     for old in _issued_certificates(folder):  # of the CA that goes
         old.unlink()
-    write_file(folder / CA_KEY, pem_of_key(key), PRIVATE)
+    write_file(folder / CA_KEY, pem_of_key(key), PRIVATE_FILE_MODE)
     write_file(folder / CA_CERTIFICATE, pem_of_certificate(certificate), PUBLIC)
     write_signed_roster(folder, Roster(team), key)
     return open_authority(folder)
@@ -163,11 +163,11 @@ class Authority:
             except OSError as error:
                 raise KeysError(f"{folder}: {error.strerror}, expected a folder that can be made") from None
             key = ec.generate_private_key(ec.SECP256R1())
-            write_file(folder / key_file(name), pem_of_key(key), PRIVATE)
+            write_file(folder / key_file(name), pem_of_key(key), PRIVATE_FILE_MODE)
             write_file(folder / CA_CERTIFICATE, pem_of_certificate(self._certificate), PUBLIC)
             if names.role(name) == Role.DRONE:
                 signing_key = Ed25519PrivateKey.generate()
-                write_file(folder / signing_key_file(name), pem_of_key(signing_key), PRIVATE)
+                write_file(folder / signing_key_file(name), pem_of_key(signing_key), PRIVATE_FILE_MODE)
                 roster = roster.with_drone(names.drone_id(name), signing_key.public_key().public_bytes_raw())
             else:
                 roster = roster.with_others(name)

@@ -15,9 +15,9 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import NameOID
 
 from swarmtrack.errors import KeysError
-from swarmtrack.security.roster import MAX_BYTES, Roster, read_roster
+from swarmtrack.security.roster import MAX_ROSTER_BYTES, Roster, read_roster
 
-PRIVATE: Final = 0o600
+PRIVATE_FILE_MODE: Final = 0o600
 PUBLIC: Final = 0o644
 
 CA_CERTIFICATE: Final = "ca.pem"
@@ -49,7 +49,7 @@ def read_file(path: Path, expected: str) -> bytes:
     """Raises KeysError."""
     try:
         with path.open("rb") as file:
-            return file.read(MAX_BYTES)
+            return file.read(MAX_ROSTER_BYTES)
     except OSError as error:
         raise KeysError(f"{path}: cannot be read ({error.strerror}), expected {expected}") from None
 

@@ -29,7 +29,9 @@ from swarmtrack.security.roster import Roster
 
 log = logging.getLogger(__name__)
 
-SOON: Final = timedelta(days=7)  # an expiry within this time is worth a word before a flight
+CERTIFICATE_EXPIRES_SOON: Final = timedelta(
+    days=7
+)  # an expiry within this time is worth a word before a flight
 
 
 def load_credentials(folder: Path, name: str, utc_s: float) -> Credentials:
@@ -105,7 +107,7 @@ def _check_dates(path: Path, certificate: x509.Certificate, now: datetime) -> No
             f"{path}: expired on {end:%Y-%m-%d %H:%M} UTC, and this machine's clock says {now:%Y-%m-%d %H:%M}: "
             f"if the clock is right, make a new one with `swarmtrack keys issue --renew`"
         )
-    if now > end - SOON:
+    if now > end - CERTIFICATE_EXPIRES_SOON:
         log.warning("%s expires on %s UTC: links close then", path, end.strftime("%Y-%m-%d %H:%M"))
 
 

@@ -11,7 +11,7 @@ from swarmtrack.errors import KeysError
 from swarmtrack.security import names
 from swarmtrack.security.names import Role
 
-MAX_BYTES = 16 * 1024 * 1024  # 65535 drones take 5 MiB
+MAX_ROSTER_BYTES = 16 * 1024 * 1024  # 65535 drones take 5 MiB
 PUBLIC_KEY_BYTES = 32
 
 

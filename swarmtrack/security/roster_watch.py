@@ -19,7 +19,7 @@ from swarmtrack.security.loading import load_credentials
 
 log = logging.getLogger(__name__)
 
-LOOK_S: Final = 2.0
+ROSTER_PERIOD_S: Final = 2.0
 """s between two looks at the files."""
 
 

@@ -12,8 +12,8 @@ from swarmtrack.setup.reference import about, parameters_schema, referred, table
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, TRACKERS
 
 NAME = "example.toml"
-WIDTH = 110
-HEAD = f"""\
+EXAMPLE_COLUMNS = 110
+EXAMPLE_HEAD = f"""\
 # Every key of a drone's config. What must be there is written; the rest is a comment with its default, or with an
 # example where there is no default. Take away the # to change a key. A page such as docs/wire.md is one of swarmtrack's
 # documentation. Check this file with: swarmtrack config check {NAME}
@@ -28,7 +28,7 @@ WRITTEN = {
     "camera.intrinsics": "{ fx = 457.0, fy = 457.0, cx = 319.5, cy = 239.5, width = 640, height = 480 }",
 }
 """Keys that are no comments."""
-SHOWN = {
+SHOWN_VALUES = {
     "team.origin": "{ lat_deg = 47.397742, lon_deg = 8.545594, alt_m = 488.0 }",
     "team.airframe_span_m": "0.5",
     "team.drones": "{ 1 = { position_m = [0.0, 0.0, 0.0], yaw_deg = 0.0, position_sigma_m = 0.3 } }",
@@ -69,7 +69,7 @@ SHOWN = {
 def example() -> str:
     """The file."""
     schema = whole_schema()
-    parts = [HEAD]
+    parts = [EXAMPLE_HEAD]
     for section, kind in tables():
         said = re.sub(r"\[([^]]+)\]\(([^)]+)\)", r"docs/\2", about(kind))
         properties = schema["$defs"][referred(schema["properties"][section])]["properties"]
@@ -89,12 +89,12 @@ def _tracker_keys(properties: dict[str, Any]) -> dict[str, Any]:
 def _lines(section: str, properties: dict[str, Any]) -> Iterator[str]:
     for key, entry in properties.items():
         name = f"{section}.{key}"
-        for line in textwrap.wrap(entry.get("description", ""), WIDTH - 2):
+        for line in textwrap.wrap(entry.get("description", ""), EXAMPLE_COLUMNS - 2):
             yield f"# {line}\n"
         if name in WRITTEN:
             yield f"{key} = {WRITTEN[name]}\n"
         else:
-            yield f"#{key} = {SHOWN.get(name) or _toml(entry['default'])}\n"
+            yield f"#{key} = {SHOWN_VALUES.get(name) or _toml(entry['default'])}\n"
 
 
 def _toml(value: Any) -> str:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from swarmtrack.config.drone import DroneConfig
 
-SAME_PLACE = 0.1  # m: nearer than this two drones do not stand beside each other
+SAME_START_M = 0.1  # m: nearer than this two drones do not stand beside each other
 
 
 class Common(NamedTuple):
@@ -80,7 +80,7 @@ def _of_two(first: DroneConfig, other: DroneConfig) -> list[str]:
             problems.append(other.problem(common.key, text))
     problems += _of_keys(first, other)
     here, there = _start(other), _start(first)
-    if here is not None and there is not None and math.dist(here, there) < SAME_PLACE:
+    if here is not None and there is not None and math.dist(here, there) < SAME_START_M:
         text = f"{_shown(here)}, where {who} starts too, expected a place of its own"
         problems.append(other.problem(("drone", "start", "position_m"), text))
     return problems

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import NamedTuple
 
-NOBODY: Mapping[int, str] = MappingProxyType({})
+NO_PEERS: Mapping[int, str] = MappingProxyType({})
 BY_TAPE = """\
 # Where it stands when its agent starts: [north, east, down] in the team frame (up is negative), the nose clockwise from
 # north. position_sigma_m: 0.1 by a tape, 0.3 on a marked pad, 1 paced out. With from = "local" or "gps" instead, the
@@ -40,7 +40,7 @@ class TeamPlan(NamedTuple):
 
     name: str
     origin: Sequence[float] | None = None
-    peers: Mapping[int, str] = NOBODY
+    peers: Mapping[int, str] = NO_PEERS
     keys: str | None = None
     insecure: bool = False
 

@@ -20,7 +20,7 @@ from swarmtrack.setup.texts import (
 )
 
 USB_CAMERA = "v4l2:///dev/video0?width={width}&height={height}&fps=30"
-SMALL = "640x480"
+SMALL_PICTURE = "640x480"
 WEBCAM_DEG = "70"  # of the lens, from left to right
 ANSWERED = (
     "id", "team", "camera", "size", "calibration", "fov", "autopilot", "start", "origin", "peer", "keys", "insecure",
@@ -40,7 +40,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tell("--id", metavar="N", help="the drone's ID, 1 … 65535, unique in the team")
     tell("--team", metavar="NAME", help="the team's name (default: that of team.toml, or swarm)")
     tell("--camera", metavar="SOURCE", help="usb, or an address: v4l2:///dev/video2, rtsp://… (default: usb)")
-    tell("--size", metavar="WxH", help=f"size of the images, if there is no calibration (default: {SMALL})")
+    tell(
+        "--size",
+        metavar="WxH",
+        help=f"size of the images, if there is no calibration (default: {SMALL_PICTURE})",
+    )
     tell(
         "--calibration",
         metavar="FILE",
@@ -207,7 +211,7 @@ def _drone(
             size, lens = calibration.size, calibrated_lens(calibration.file.name)
         else:
             guessed = True
-            size = questions.answer("size", "size of the images", SMALL, answers.size)
+            size = questions.answer("size", "size of the images", SMALL_PICTURE, answers.size)
             angle = questions.answer(
                 "fov", "angle of the lens from left to right, degrees", WEBCAM_DEG, answers.angle
             )

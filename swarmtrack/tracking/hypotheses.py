@@ -28,12 +28,12 @@ from swarmtrack.tracking.priors import MATCHINGS_BREADTH, MATCHINGS_LEAST_BREADT
 
 Indices = NDArray[np.intp]
 
-NONE = -1  # the column of a track that made no detection
+UNDETECTED = -1  # the column of a track that made no detection
 
 
 class Matchings(NamedTuple):
     """q matchings, best first. prior (q,): which earlier hypothesis each goes on from; column (q, k): the detection of
-    each track, or `NONE`; log_weight (q,), not normalised. complete: none that belongs here was left out."""
+    each track, or `UNDETECTED`; log_weight (q,), not normalised. complete: none that belongs here was left out."""
 
     prior: Indices
     column: Indices
@@ -81,7 +81,7 @@ def best_matchings(log_weight: Array, gain: Array, count: int, least: float) -> 
     order = order[value[order] >= value[order[0]] - depth]
     return Matchings(
         prior[order],
-        np.where(column[order] < m, column[order], NONE),
+        np.where(column[order] < m, column[order], UNDETECTED),
         value[order],
         left_out <= (value[order[-1]] if len(order) == count else floor),
     )

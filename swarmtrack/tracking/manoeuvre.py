@@ -28,9 +28,9 @@ from swarmtrack.tracking.priors import MANOEUVRE_LEAST_MODE, MANOEUVRE_SHORT_STE
 
 CALM, AGILE = 0, 1
 KINEMATIC = slice(0, 4)
-ACCELERATION = slice(4, 6)
-PLACE = slice(0, 4, 2)  # u, v
-VELOCITY = slice(1, 4, 2)
+ACCELERATION_OF_AGILE = slice(4, 6)
+PLACE_OF_AGILE = slice(0, 4, 2)  # u, v
+VELOCITY_OF_AGILE = slice(1, 4, 2)
 # Which of the nine entries of an axis' matrix over position, velocity and acceleration each of all 36 is; 9 between the
 # axes.
 ENTRY = np.full((6, 6), 9)
@@ -135,7 +135,7 @@ class ModeInnovations(NamedTuple):
         )
 
 
-NOBODY = ModeMixture(np.empty((0, 2, 6)), np.empty((0, 2, 6, 6)), np.empty((0, 2)))
+NO_MIXTURE = ModeMixture(np.empty((0, 2, 6)), np.empty((0, 2, 6, 6)), np.empty((0, 2)))
 
 
 def joined(first: ModeMixture, second: ModeMixture) -> ModeMixture:
@@ -150,8 +150,8 @@ def begun(mean: Array, cov: Array, manoeuvres: Manoeuvres) -> ModeMixture:
     covs[:, :, KINEMATIC, KINEMATIC] = cov[:, None]
     # A calm target is of any level.
     slower = np.sqrt([usual[AGILE:] @ scales / usual[AGILE:].sum(), *scales])[:, None]
-    covs[:, :, VELOCITY] *= slower[:, :, None]
-    covs[:, :, :, VELOCITY] *= slower[:, None]
+    covs[:, :, VELOCITY_OF_AGILE] *= slower[:, :, None]
+    covs[:, :, :, VELOCITY_OF_AGILE] *= slower[:, None]
     covs[:, :, [4, 5], [4, 5]] = manoeuvres.variances[:, None]
     return ModeMixture(means, covs, np.tile(usual, (n, 1)))
 
@@ -173,7 +173,7 @@ def _one_gaussian(mode: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
 
 def mean_acceleration(mixture: ModeMixture) -> Array:
     """(n, 2) px/s²: nobody accelerates while calm."""
-    return (mixture.mode[:, None, AGILE:] @ mixture.mean[:, AGILE:, ACCELERATION])[:, 0]
+    return (mixture.mode[:, None, AGILE:] @ mixture.mean[:, AGILE:, ACCELERATION_OF_AGILE])[:, 0]
 
 
 def predict(
@@ -212,14 +212,14 @@ def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, ModeI
     makes two products of rank two: B = P − K H P, then B + (K R − B Hᵀ) Kᵀ.
     """
     R = R[:, None]
-    y = z[:, None] - mixture.mean[:, :, PLACE]
-    PHt = mixture.cov[:, :, :, PLACE]
-    S = PHt[:, :, PLACE] + R
+    y = z[:, None] - mixture.mean[:, :, PLACE_OF_AGILE]
+    PHt = mixture.cov[:, :, :, PLACE_OF_AGILE]
+    S = PHt[:, :, PLACE_OF_AGILE] + R
     determinant = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
     K = PHt @ (ADJUGATE * S[..., ::-1, ::-1] / determinant[..., None, None])
     step = (K @ y[..., None])[..., 0]
-    B = mixture.cov - K @ mixture.cov[:, :, PLACE]
-    cov = B + (K @ R - B[..., PLACE]) @ K.swapaxes(2, 3)
+    B = mixture.cov - K @ mixture.cov[:, :, PLACE_OF_AGILE]
+    cov = B + (K @ R - B[..., PLACE_OF_AGILE]) @ K.swapaxes(2, 3)
     cov = 0.5 * (cov + cov.swapaxes(2, 3))
     distance = _squared_length(y, S, determinant)
     log_likelihood = -0.5 * (distance + np.log(determinant))
@@ -327,9 +327,9 @@ def turned(
     J = F4[:, 1::2, 1::2]
     F = np.zeros((len(F4), 6, 6))
     F[:, KINEMATIC, KINEMATIC] = F4
-    F[:, ACCELERATION, ACCELERATION] = J
+    F[:, ACCELERATION_OF_AGILE, ACCELERATION_OF_AGILE] = J
     found = np.empty((len(F4), 6))
     found[:, KINEMATIC] = kinematic
-    found[:, ACCELERATION] = (J @ mean[..., ACCELERATION].reshape(-1, 2, 1))[..., 0]
+    found[:, ACCELERATION_OF_AGILE] = (J @ mean[..., ACCELERATION_OF_AGILE].reshape(-1, 2, 1))[..., 0]
     cov = F @ cov.reshape(-1, 6, 6) @ np.ascontiguousarray(F.swapaxes(1, 2))
     return found.reshape(mean.shape), cov.reshape(*mean.shape, 6)

@@ -33,8 +33,15 @@ from swarmtrack.tracking import clusters, lifecycle, manoeuvre
 from swarmtrack.tracking.association import most_likely_matching
 from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.clusters import Cluster
-from swarmtrack.tracking.hypotheses import NONE, best_matchings
-from swarmtrack.tracking.manoeuvre import AS_TOLD, PLACE, AgileLevel, Manoeuvres, ModeInnovations, ModeMixture
+from swarmtrack.tracking.hypotheses import UNDETECTED, best_matchings
+from swarmtrack.tracking.manoeuvre import (
+    AS_TOLD,
+    PLACE_OF_AGILE,
+    AgileLevel,
+    Manoeuvres,
+    ModeInnovations,
+    ModeMixture,
+)
 from swarmtrack.tracking.motion_model import POSITION, Course, FadingAcceleration
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
@@ -188,7 +195,7 @@ class Weighed(NamedTuple):
 
 
 class Association(NamedTuple):
-    """What leaves made of a scan: row (…,) of each leaf, and column (…,) of its detection or `NONE`."""
+    """What leaves made of a scan: row (…,) of each leaf, and column (…,) of its detection or `UNDETECTED`."""
 
     leaf: Indices
     column: Indices
@@ -332,7 +339,7 @@ class Mbm:
         mean, cov, mode = self.leaves.motion
         if shift is not None:
             cov = cov.copy()
-            cov[:, :, PLACE, PLACE] += shift[self.leaves.owner][:, None]
+            cov[:, :, PLACE_OF_AGILE, PLACE_OF_AGILE] += shift[self.leaves.owner][:, None]
         by_mode = self._sensor.likelihoods(
             mean.reshape(-1, 6), cov.reshape(-1, 6, 6), boxes.repeat(mode.shape[1], axis=0), measured
         ).log_ratio
@@ -459,7 +466,7 @@ class Mbm:
         choice = options.argmax(axis=1)
         best = options.max(axis=1)
         clear = (options > (best - self._depth)[:, None]).sum(axis=1) == 1
-        column = np.where(choice < m, choice, NONE)
+        column = np.where(choice < m, choice, UNDETECTED)
         if clear.all():
             return Association(leaves, column), leaves[:0]
         return Association(leaves[clear], column[clear]), leaves[~clear]
@@ -486,7 +493,7 @@ class Mbm:
             prior_weight, gain[:, :, columns], self._parameters.hypotheses, self._parameters.least_weight
         )
         self.counters["hypotheses_cut"] += not best.complete
-        column = np.where(best.column >= 0, np.append(columns, NONE)[best.column], NONE)
+        column = np.where(best.column >= 0, np.append(columns, UNDETECTED)[best.column], UNDETECTED)
         # Where two stories are as likely, the one that was told goes on: who is who must not change from scan to scan.
         told_so_far = best.prior == cluster.shown
         likely = best.log_weight >= best.log_weight[0] - math.log(self._parameters.changeover)
@@ -509,7 +516,7 @@ class Mbm:
             odds = np.log(p_detection / (1.0 - p_detection))
         ratio = weighed.ratio[leaves[:, None], left] + odds[:, None] + np.log(1.0 - taken[left])
         rows, columns = most_likely_matching(ratio)
-        column = np.full(len(leaves), NONE)
+        column = np.full(len(leaves), UNDETECTED)
         column[rows] = left[columns]
         return Association(leaves, column)
 
@@ -642,7 +649,7 @@ class Mbm:
     def _keep(self, leaves: Leaves, settled: Indices, continued: list[Cluster]) -> Indices:
         """From now on: these leaves as far as somebody refers to them, and what is still in dispute. Returns of each
         track the row of the leaf that is published, among those given."""
-        best = np.full(len(self.table), NONE)
+        best = np.full(len(self.table), UNDETECTED)
         best[leaves.owner[settled]] = settled
         if not continued:  # one leaf a track, in the table's order
             self.leaves, self.best, self.clusters = leaves, best, []

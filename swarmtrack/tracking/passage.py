@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
-from swarmtrack.tracking.manoeuvre import PLACE, ModeMixture, turned
+from swarmtrack.tracking.manoeuvre import PLACE_OF_AGILE, ModeMixture, turned
 from swarmtrack.tracking.motion_model import POSITION, turn_into
 from swarmtrack.tracking.table import TrackTable
 
@@ -67,7 +67,7 @@ class Passage(NamedTuple):
         mean, cov, mode = self.motion
         by_axis = np.concatenate([by_axis, scale])
         mean = mean * by_axis
-        mean[..., PLACE] += shift
+        mean[..., PLACE_OF_AGILE] += shift
         return Passage(table, ModeMixture(mean, cov * (by_axis[:, None] * by_axis), mode))
 
     def moved(self, by: Array, cov: Array) -> Passage:
@@ -79,6 +79,6 @@ class Passage(NamedTuple):
         if self.motion is None:
             return Passage(table, None)
         means, covs = self.motion.mean.copy(), self.motion.cov.copy()
-        means[..., PLACE] += by[:, None]
-        covs[..., PLACE, PLACE] += cov[:, None]
+        means[..., PLACE_OF_AGILE] += by[:, None]
+        covs[..., PLACE_OF_AGILE, PLACE_OF_AGILE] += cov[:, None]
         return Passage(table, ModeMixture(means, covs, self.motion.mode))

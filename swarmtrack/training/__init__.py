@@ -1,3 +1,3 @@
 """Training a detector. What is here is known without PyTorch."""
 
-COARSEST = 32  # px: images a net sees are a multiple of this
+IMAGE_MULTIPLE_PX = 32  # px: images a net sees are a multiple of this

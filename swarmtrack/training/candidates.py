@@ -14,22 +14,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.detection.net import Net
-from swarmtrack.detection.second_stage import LEAST, SMALLEST, square
+from swarmtrack.detection.second_stage import SECOND_STAGE_LEAST_SCORE, SECOND_STAGE_SMALLEST_PX, square
 from swarmtrack.lab.score.detector_score import by_centre
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.training.dataset import TrainingSample, cut_out
 from swarmtrack.training.labelled_images import Boxes, LabelledFrame
 from swarmtrack.training.simulated_pictures import SIMULATED
 
-DRONE, OTHER, DRAWN = "drone", "other", "drawn"
+DRONE_CLASS, OTHER, DRAWN = "drone", "other", "drawn"
 # Scales of the pictures, and how often each is taken.
 SCALES = ((1.0, 0.4), (0.5, 0.1), (1.5, 0.15), (2.0, 0.15), (3.0, 0.2))
-WINDOW = 320  # px of input: side of what is looked at where the scale is above 1
+CANDIDATE_WINDOW_PX = 320  # px of input: side of what is looked at where the scale is above 1
 ROOM = 64  # px of the image that are added to it
-SEEN = 24  # candidates of a picture
+CANDIDATES_PER_PICTURE = 24  # candidates of a picture
 PER_PICTURE = (3, 1)  # that are wrong: the best, and others
-BESIDE = 0.3  # of its longer side: a second candidate for one drone that is further off than that is wrong
-KEPT = 96  # px: side of what is kept of each
+SECOND_CANDIDATE_SHARE = (
+    0.3  # of its longer side: a second candidate for one drone that is further off than that is wrong
+)
+KEPT_SIDE_PX = 96  # px: side of what is kept of each
 KEPT_AROUND = 2.4  # longer sides of its box that this shows
 # Of a quadrotor, over all yaws: the width of what is visible over its span.
 OUTLINE = BoxWidth().factor
@@ -39,8 +41,9 @@ DRAWN_ROOM = (
 
 
 class Candidate(NamedTuple):
-    """picture (KEPT, KEPT, 3) BGR; kind: `DRONE`, what else was labelled there, or `OTHER`; source: the clip; score: of
-    the detector, 0 for what it overlooked; span: of a drone, px of the picture, NaN where nobody knows."""
+    """picture (KEPT_SIDE_PX, KEPT_SIDE_PX, 3) BGR; kind: `DRONE_CLASS`, what else was labelled there, or `OTHER`;
+    source: the clip; score: of the detector, 0 for what it overlooked; span: of a drone, px of the picture, NaN where
+    nobody knows."""
 
     picture: NDArray[np.uint8]
     kind: str
@@ -77,9 +80,9 @@ class CandidateSource:
         """doubtful: what may be a drone and is left out."""
         rng, drawn = self._rng, frame.source == DRAWN
         corner, part = (np.zeros(2, int), frame.image) if drawn else self._part(frame, scale)
-        found, _ = self._net.look(part, scale, LEAST, SEEN)
+        found, _ = self._net.look(part, scale, SECOND_STAGE_LEAST_SCORE, CANDIDATES_PER_PICTURE)
         labels, spans = np.concatenate([frame.drones, frame.distractors]), _spans(frame)
-        kinds = (DRONE,) * len(frame.drones) + (frame.kinds or (OTHER,) * len(frame.distractors))
+        kinds = (DRONE_CLASS,) * len(frame.drones) + (frame.kinds or (OTHER,) * len(frame.distractors))
         boxes = np.concatenate([found.centre + corner, found.size], axis=1)
         hits = [_hit(box, labels) for box in boxes]
         first = {hit: row for row, hit in reversed(list(enumerate(hits)))}
@@ -87,7 +90,7 @@ class CandidateSource:
             row
             for row, (box, hit) in enumerate(zip(boxes, hits, strict=True))
             if (hit < 0 and (doubtful is None or _hit(box, doubtful) < 0))
-            or (hit >= 0 and first[hit] != row and _apart(boxes[first[hit]], box) > BESIDE)
+            or (hit >= 0 and first[hit] != row and _apart(boxes[first[hit]], box) > SECOND_CANDIDATE_SHARE)
         ]
         best, others = PER_PICTURE
         wrong = wrong[:best] + rng.permutation(wrong[best:])[:others].astype(int).tolist()
@@ -113,7 +116,7 @@ class CandidateSource:
         if scale <= 1.0:
             return np.zeros(2, int), frame.image
         rng, labels = self._rng, np.concatenate([frame.drones, frame.distractors])
-        side = int(min(WINDOW / scale + ROOM, *shown))
+        side = int(min(CANDIDATE_WINDOW_PX / scale + ROOM, *shown))
         middle = rng.uniform(0.0, shown)
         if len(labels) and rng.random() < 0.8:
             middle = labels[rng.integers(len(labels)), :2] + rng.uniform(-0.3, 0.3, 2) * side
@@ -123,14 +126,14 @@ class CandidateSource:
 
 def _cut(frame: LabelledFrame, box: NDArray[np.float64], kind: str, score: float, span: float) -> Candidate:
     """What is at a box (4,) of a frame; span: px of the frame."""
-    side = KEPT_AROUND * max(float(box[2:].max()), SMALLEST)
-    picture = square(frame.image, box[:2], side, KEPT)
-    return Candidate(picture, kind, frame.source, score, span * KEPT / side)
+    side = KEPT_AROUND * max(float(box[2:].max()), SECOND_STAGE_SMALLEST_PX)
+    picture = square(frame.image, box[:2], side, KEPT_SIDE_PX)
+    return Candidate(picture, kind, frame.source, score, span * KEPT_SIDE_PX / side)
 
 
 def _has_room(image: NDArray[np.uint8], box: NDArray[np.float64]) -> bool:
     """Whether a box (4,) is not too near to the edge of a picture that is drawn."""
-    room = DRAWN_ROOM / 2 * max(float(box[2:].max()), SMALLEST)
+    room = DRAWN_ROOM / 2 * max(float(box[2:].max()), SECOND_STAGE_SMALLEST_PX)
     return bool((box[:2] >= room).all() and (box[:2] + room <= image.shape[1::-1]).all())
 
 

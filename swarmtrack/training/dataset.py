@@ -201,7 +201,7 @@ class SampleSource:
 
     def _draw_distractor(self, name: str) -> tuple[Sprite, bool]:
         """One thing that is no drone, and whether it is an object rather than a part of the picture."""
-        return render.DISTRACTORS[name](self._rng), name in render.FLYING
+        return render.DISTRACTORS[name](self._rng), name in render.FLYING_DISTRACTORS
 
     def _refresh(self) -> None:
         if self._rng.random() < 0.1:
@@ -347,7 +347,9 @@ class Targets(NamedTuple):
     weight: FloatImage
 
 
-DOUBT = 0.95  # heat of a doubtful drone: no peak, and by (1 − heat)^4 in the loss hardly punished either
+DOUBTFUL_HEAT = (
+    0.95  # heat of a doubtful drone: no peak, and by (1 − heat)^4 in the loss hardly punished either
+)
 
 
 def targets(
@@ -382,7 +384,7 @@ def targets(
         heat[0] = np.maximum(heat[0], peak)
     for u, v, w, h in [] if doubtful is None else doubtful:
         bump = peak_at(u / stride, v / stride, np.maximum(0.25 * np.array([w, h]) / stride, 1.0))
-        heat[0] = np.maximum(heat[0], np.float32(DOUBT) * bump)
+        heat[0] = np.maximum(heat[0], np.float32(DOUBTFUL_HEAT) * bump)
     for u, v, w, h in [] if others is None else others:
         heat[1] = np.maximum(heat[1], peak_at(*nearest_cell(u, v), sharp(w, h)))
     return Targets(heat, offset, log_size, weight[None])

@@ -11,7 +11,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from swarmtrack.training import COARSEST
+from swarmtrack.training import IMAGE_MULTIPLE_PX
 from swarmtrack.training.dataset import STRIDE
 
 OPSET = 17
@@ -37,7 +37,7 @@ def export(network: nn.Module, path: Path, metadata: Mapping[str, str]) -> None:
     ours = {
         "head": "centernet",
         "stride": str(STRIDE),
-        "multiple": str(COARSEST),
+        "multiple": str(IMAGE_MULTIPLE_PX),
         "size_encoding": "log_cells",
         "names": json.dumps(["drone"]),
         "scale": repr(1 / 255),
@@ -49,7 +49,7 @@ def export(network: nn.Module, path: Path, metadata: Mapping[str, str]) -> None:
     free = {0: "batch", 2: "height", 3: "width"}
     write_onnx(
         _Deployed(network).eval(),
-        torch.zeros(1, 3, 2 * COARSEST, 3 * COARSEST),
+        torch.zeros(1, 3, 2 * IMAGE_MULTIPLE_PX, 3 * IMAGE_MULTIPLE_PX),
         path,
         dict.fromkeys(("images", "heat", "offset", "size"), free),
         {**ours, **metadata},

@@ -25,7 +25,7 @@ from swarmtrack.training.labelled_images import LabelledFrame
 Batch = tuple[NDArray[Any], ...]
 """Images (size, crop, crop, 3) uint8 BGR, then the fields of `Targets`, each with a leading batch axis."""
 
-AHEAD = 6  # batches that a generator may be ahead of the trainer
+BATCHES_AHEAD = 6  # batches that a generator may be ahead of the trainer
 # s without a batch: the generator is dead or the machine is; the first waits for all cut-outs.
 TIMEOUT = 300.0
 
@@ -77,7 +77,7 @@ def generators(
 ) -> Iterator[Iterator[Batch]]:
     """Generator processes, and an endless iterator over their batches in a fixed order."""
     context = multiprocessing.get_context("spawn")  # torch's threads do not survive a fork
-    queues: list[Queue[Batch]] = [context.Queue(AHEAD) for _ in range(processes)]
+    queues: list[Queue[Batch]] = [context.Queue(BATCHES_AHEAD) for _ in range(processes)]
     children = [
         context.Process(target=_generate, args=(out, frames, recipe, batch, (*seed, i)), daemon=True)
         for i, out in enumerate(queues)

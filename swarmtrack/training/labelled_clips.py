@@ -23,9 +23,9 @@ from swarmtrack.lab.score.clip_score import TruthBoxes
 from swarmtrack.training.labelled_images import NEGATIVE, DataError, LabelledFrame
 
 VIDEOS = (".mp4", ".avi", ".mkv")
-DRONE = "drone"
+DRONE_LABEL = "drone"
 # px: side of what is kept around an object, the largest piece of a frame that becomes a usual sample.
-WINDOW = 320
+CLIP_WINDOW_PX = 320
 
 
 class Clip(NamedTuple):
@@ -43,7 +43,7 @@ class Clip(NamedTuple):
     def kind(self) -> str:
         """What is labelled: a look-alike that its name tells, else drones."""
         words = re.split(r"[^a-z]+", self.name.lower())
-        return next((word for word in words if word in LOOK_ALIKES), DRONE)
+        return next((word for word in words if word in LOOK_ALIKES), DRONE_LABEL)
 
 
 def find_clips(folder: Path) -> list[Clip]:
@@ -61,7 +61,7 @@ def find_clips(folder: Path) -> list[Clip]:
 
 def drone_clips(folder: Path) -> list[Clip]:
     """Those that show drones."""
-    return [clip for clip in find_clips(folder) if clip.kind == DRONE]
+    return [clip for clip in find_clips(folder) if clip.kind == DRONE_LABEL]
 
 
 def _look_at(name: str, video: Path, truth: Path) -> Clip:
@@ -115,7 +115,7 @@ def origins(clips: Sequence[Clip], frames: Sequence[LabelledFrame]) -> dict[str,
     found = {}
     for clip in clips:
         frame = known.get(clip.name)
-        usual = Origin(clip.name, clip.name if clip.kind == DRONE else NEGATIVE)
+        usual = Origin(clip.name, clip.name if clip.kind == DRONE_LABEL else NEGATIVE)
         found[clip.name] = usual if frame is None else Origin(frame.source, frame.scene)
     return found
 
@@ -134,7 +134,7 @@ def labelled_frames(clip: Clip, origin: Origin, every: int) -> Iterator[Labelled
             if not decoded:
                 break
             boxes = np.concatenate([truth[index].centre, truth[index].size], axis=1)
-            drone = clip.kind == DRONE
+            drone = clip.kind == DRONE_LABEL
             yield LabelledFrame(
                 f"{clip.name}_{index:04d}",
                 origin.source,
@@ -148,7 +148,7 @@ def labelled_frames(clip: Clip, origin: Origin, every: int) -> Iterator[Labelled
         video.release()
 
 
-def window(frame: LabelledFrame, side: int = WINDOW) -> LabelledFrame:
+def window(frame: LabelledFrame, side: int = CLIP_WINDOW_PX) -> LabelledFrame:
     """What lies around one of the labelled objects, not always in the middle: a third of the memory of the frame.
 
     Which object, and where it lies in the window, follow from the name of the frame.

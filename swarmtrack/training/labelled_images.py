@@ -25,13 +25,13 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from swarmtrack.detection.description import DRONES
+from swarmtrack.detection.description import DRONE_CLASS_NAMES
 from swarmtrack.errors import SwarmtrackError
 
 Boxes = NDArray[np.float64]
 
 NEGATIVE = "negative"  # the scene name of frames that show no drone
-SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp")
+LABELLED_IMAGE_SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp")
 
 
 class DataError(SwarmtrackError):
@@ -120,7 +120,9 @@ def _yolo(root: Path) -> Iterator[LabelledFrame]:
         names = [str(named[i]) for i in range(len(named))]
     except (OSError, yaml.YAMLError, KeyError, TypeError) as error:
         raise DataError(f"{root / 'data.yaml'}: expected names, a list of the classes: {error}") from None
-    for path in sorted(entry for entry in root.glob("images/**/*") if entry.suffix.lower() in SUFFIXES):
+    for path in sorted(
+        entry for entry in root.glob("images/**/*") if entry.suffix.lower() in LABELLED_IMAGE_SUFFIXES
+    ):
         table = root / "labels" / path.relative_to(root / "images").with_suffix(".txt")
         shares = []
         lines = table.read_text(encoding="utf-8").splitlines() if table.is_file() else []
@@ -159,7 +161,7 @@ def _frame(
         boxes = [np.concatenate([centre - 0.5 * size, size]) for centre, size in boxes]
     else:
         boxes = [np.array(box) for _, box in labels]
-    drone = np.array([kind.lower() in DRONES for kind, _ in labels], np.bool_)
+    drone = np.array([kind.lower() in DRONE_CLASS_NAMES for kind, _ in labels], np.bool_)
     table = np.array(boxes, float).reshape(-1, 4)
     table[:, :2] += table[:, 2:] / 2 - (0.5 if from_edge else 0.0)
     kinds = tuple(kind for (kind, _), is_drone in zip(labels, drone.tolist(), strict=True) if not is_drone)

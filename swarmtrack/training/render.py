@@ -365,7 +365,12 @@ DISTRACTORS: dict[str, Callable[[Rng], Sprite]] = {
 }
 
 
-FLYING = ("bird", "aeroplane", "helicopter", "lump")  # objects with a place of their own; the rest is scenery
+FLYING_DISTRACTORS = (
+    "bird",
+    "aeroplane",
+    "helicopter",
+    "lump",
+)  # objects with a place of their own; the rest is scenery
 
 
 def _shade(rng: Rng, sprite: Sprite) -> Sprite:

@@ -16,7 +16,7 @@ from swarmtrack.training.layers import RARE, convolution
 
 STAGES = ((64, 3), (128, 4), (256, 6), (512, 3))  # channels, blocks
 UP = 256
-HEAD = 64
+HEAD_CHANNELS = 64
 
 
 class BasicBlock(nn.Module):
@@ -54,7 +54,9 @@ class ResNet34CenterNet(nn.Module):
             inputs = UP
         self.up = nn.Sequential(*ups)
         self.heat, self.offset, self.log_size = (
-            nn.Sequential(nn.Conv2d(UP, HEAD, 3, padding=1), nn.ReLU(), nn.Conv2d(HEAD, 2, 1))
+            nn.Sequential(
+                nn.Conv2d(UP, HEAD_CHANNELS, 3, padding=1), nn.ReLU(), nn.Conv2d(HEAD_CHANNELS, 2, 1)
+            )
             for _ in range(3)
         )
         nn.init.constant_(cast(Tensor, self.heat[-1].bias), RARE)

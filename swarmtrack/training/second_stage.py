@@ -31,10 +31,10 @@ from torch.nn import functional
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.detection.odds import logit, probability
-from swarmtrack.detection.second_stage import HEAD, square
+from swarmtrack.detection.second_stage import SECOND_STAGE_HEAD, square
 from swarmtrack.lab.score.detector_score import Matches
 from swarmtrack.training import render
-from swarmtrack.training.candidates import DRAWN, DRONE, KEPT, KEPT_AROUND, OTHER, Candidate
+from swarmtrack.training.candidates import DRAWN, DRONE_CLASS, KEPT_AROUND, KEPT_SIDE_PX, OTHER, Candidate
 from swarmtrack.training.export import write_onnx
 from swarmtrack.training.feeding import TrainingError
 from swarmtrack.training.layers import convolution
@@ -43,18 +43,18 @@ from swarmtrack.training.trainer import REPORT_PERIOD, average_into
 
 SIDE = 64  # px of its input
 AROUND = 1.6  # longer sides of the box that it is shown
-AVERAGING = 0.998  # per step
+SECOND_STAGE_AVERAGING = 0.998  # per step
 SPAN_MAPS, SPAN_HIDDEN = 24, 48
-WARM_UP = 200  # steps until the full learning rate
+SECOND_STAGE_WARM_UP = 200  # steps until the full learning rate
 WEIGHT_DECAY = 0.05
 SMOOTHING = 0.02  # of the labels: some are wrong
-FEWEST = 20  # held-out candidates of drones, and of what is none, that scores can be fitted to
+FEWEST_CANDIDATES = 20  # held-out candidates of drones, and of what is none, that scores can be fitted to
 UNFITTED = (0.7, -1.0)  # weight and offset where nothing was held out
 GHOST = 4.0  # drones overlooked that are as bad as one ghost
-DOUBT = 0.3  # log odds by which what confirms a track is below the score
+SECOND_STAGE_DOUBT_LOG_ODDS = 0.3  # log odds by which what confirms a track is below the score
 KEEPS = 0.99  # of the held-out drones that the detector found: how many pass the threshold
-THRESHOLDS = (0.1, 0.4)  # at least, and at most
-HALF = SIDE / 2  # px: spans are answered as multiples of that, by their logarithm
+SECOND_STAGE_THRESHOLDS = (0.1, 0.4)  # at least, and at most
+HALF_SIDE = SIDE / 2  # px: spans are answered as multiples of that, by their logarithm
 LINEAR = 0.1  # error of that logarithm from which on it counts linearly, not by its square
 OF_THE_LOSS = 4.0  # what that error counts, beside the kinds
 VISIBLE = 0.3  # what a real drone counts beside a simulated one
@@ -94,7 +94,8 @@ class Trained(NamedTuple):
 
 
 class Network(nn.Module):
-    """forward: squares (n, 3, SIDE, SIDE), 0…255 → logits (n, kinds), drones first; log of span over `HALF` (n,)."""
+    """forward: squares (n, 3, SIDE, SIDE), 0…255 → logits (n, kinds), drones first; log of span over `HALF_SIDE`
+    (n,)."""
 
     def __init__(self, kinds: int, widths: tuple[int, ...] = (16, 32, 56, 80)) -> None:
         super().__init__()
@@ -132,13 +133,13 @@ class _InFlight(nn.Module):
     def forward(self, squares: Tensor) -> tuple[Tensor, Tensor]:
         logits, log_span = self.network(torch.cat([squares, squares.flip(3)]))
         log_odds = logits[:, 0] - torch.logsumexp(logits[:, 1:], dim=1)
-        span = torch.exp(log_span.reshape(2, -1).mean(dim=0)) * (HALF / SIDE)
+        span = torch.exp(log_span.reshape(2, -1).mean(dim=0)) * (HALF_SIDE / SIDE)
         return log_odds.reshape(2, -1).mean(dim=0), span
 
 
 class _Batch(NamedTuple):
     """squares (n, 3, SIDE, SIDE); kinds (m,) of the first m ≤ n, by their place among the kinds; log_spans (n,) over
-    `HALF`, and what each counts (n,), zero where nobody knows."""
+    `HALF_SIDE`, and what each counts (n,), zero where nobody knows."""
 
     squares: Tensor
     kinds: Tensor
@@ -156,17 +157,19 @@ class _Pools:
         self._pools: dict[str, dict[str, list[Candidate]]] = {}
         for candidate in candidates:
             self._pools.setdefault(candidate.kind, {}).setdefault(candidate.source, []).append(candidate)
-        self.kinds = [DRONE, *sorted(self._pools.keys() - {DRONE})]
-        if len(self.kinds) < 2 or DRONE not in self._pools:
+        self.kinds = [DRONE_CLASS, *sorted(self._pools.keys() - {DRONE_CLASS})]
+        if len(self.kinds) < 2 or DRONE_CLASS not in self._pools:
             raise TrainingError(
                 f"candidates are {', '.join(self._pools) or 'none'}, expected drones and what is none"
             )
         others = max(len(self.kinds) - 2, 1)
-        weights = np.array([{DRONE: 4.0, OTHER: 2.0}.get(kind, 2.0 / others) for kind in self.kinds])
+        weights = np.array([{DRONE_CLASS: 4.0, OTHER: 2.0}.get(kind, 2.0 / others) for kind in self.kinds])
         self._shares = weights / weights.sum()
         """Of the kinds: half are drones, a quarter is nothing that flies."""
         self._groups = {kind: self._grouped(pool) for kind, pool in self._pools.items()}
-        self._measured = [each for each in self._pools[DRONE].get(SIMULATED, ()) if math.isfinite(each.span)]
+        self._measured = [
+            each for each in self._pools[DRONE_CLASS].get(SIMULATED, ()) if math.isfinite(each.span)
+        ]
 
     def batch(self) -> _Batch:
         rng, told = self._rng, self._settings
@@ -181,7 +184,7 @@ class _Pools:
         return _Batch(
             _as_input([square for square, _ in shown]),
             torch.from_numpy(kinds),
-            torch.tensor(np.log(np.where(known, spans, HALF) / HALF), dtype=torch.float32),
+            torch.tensor(np.log(np.where(known, spans, HALF_SIDE) / HALF_SIDE), dtype=torch.float32),
             torch.tensor(np.where(known, trust, 0.0), dtype=torch.float32),
         )
 
@@ -224,14 +227,14 @@ def train(
     for step in range(settings.iterations):
         fall = 0.5 + 0.5 * math.cos(math.pi * step / settings.iterations)
         for group in optimizer.param_groups:
-            group["lr"] = settings.learning_rate * min(1.0, (step + 1) / WARM_UP) * fall
+            group["lr"] = settings.learning_rate * min(1.0, (step + 1) / SECOND_STAGE_WARM_UP) * fall
         loss = _loss(network, pools.batch())
         if not torch.isfinite(loss):
             raise TrainingError(f"step {step}: the loss is {loss.item()}; lower --learning-rate")
         optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         optimizer.step()
-        average_into(average, network, min(AVERAGING, (1 + step) / (10 + step)))
+        average_into(average, network, min(SECOND_STAGE_AVERAGING, (1 + step) / (10 + step)))
         if clock.now() - reported > REPORT_PERIOD:
             reported = clock.now()
             minutes, done = (reported - began) / 60, (step + 1) / settings.iterations
@@ -242,10 +245,10 @@ def train(
     fusion = fit(validation, log_odds)
     together = held_out.odds + fusion.weight * log_odds + fusion.offset
     told = {
-        "head": HEAD,
+        "head": SECOND_STAGE_HEAD,
         "around": str(AROUND),
         "fusion": json.dumps([round(number, 4) for number in fusion]),
-        "doubt": str(DOUBT),
+        "doubt": str(SECOND_STAGE_DOUBT_LOG_ODDS),
         "score_threshold": f"{_threshold(held_out, together):.3f}",
         "kinds": json.dumps(pools.kinds),
         "recipe": json.dumps(asdict(settings)),
@@ -269,7 +272,7 @@ def fit(validation: Sequence[Candidate], log_odds: NDArray[np.float64]) -> Fusio
     """Weight and offset by maximum likelihood, what is no drone counting `GHOST` times as much as drones; of candidates
     (n) that the detector found, and what the stage says of them (n,)."""
     seen, drone, odds = _held_out(validation)
-    if min((seen & drone).sum(), (seen & ~drone).sum()) < FEWEST:
+    if min((seen & drone).sum(), (seen & ~drone).sum()) < FEWEST_CANDIDATES:
         return Fusion(*UNFITTED)
     odds, x, y = odds[seen], log_odds[seen], drone[seen]
     weights = np.where(y, 1.0 / y.sum(), GHOST / (~y).sum())
@@ -293,16 +296,16 @@ class _HeldOut(NamedTuple):
 
 def _held_out(candidates: Sequence[Candidate]) -> _HeldOut:
     score = np.array([candidate.score for candidate in candidates])
-    drone = np.array([candidate.kind == DRONE for candidate in candidates], np.bool_)
+    drone = np.array([candidate.kind == DRONE_CLASS for candidate in candidates], np.bool_)
     return _HeldOut(score > 0.0, drone, logit(score))
 
 
 def _threshold(held_out: _HeldOut, odds: NDArray[np.float64]) -> float:
     """The score from which on a detection is shown; odds (n,): of both stages."""
     drones = odds[held_out.seen & held_out.drone]
-    if len(drones) < FEWEST:
-        return THRESHOLDS[1]
-    return float(np.clip(probability(float(np.quantile(drones, 1.0 - KEEPS))), *THRESHOLDS))
+    if len(drones) < FEWEST_CANDIDATES:
+        return SECOND_STAGE_THRESHOLDS[1]
+    return float(np.clip(probability(float(np.quantile(drones, 1.0 - KEEPS))), *SECOND_STAGE_THRESHOLDS))
 
 
 def _average_precision(held_out: _HeldOut, odds: NDArray[np.float64]) -> float:
@@ -316,8 +319,8 @@ def _average_precision(held_out: _HeldOut, odds: NDArray[np.float64]) -> float:
 def augmented(rng: np.random.Generator, picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
     """(SIDE, SIDE, 3): the middle of a candidate's picture as another camera might have shown it; and how much larger
     things are in it."""
-    scale = SIDE / KEPT * KEPT_AROUND / AROUND * math.exp(rng.uniform(math.log(0.8), math.log(1.25)))
-    middle = (KEPT - 1) / 2
+    scale = SIDE / KEPT_SIDE_PX * KEPT_AROUND / AROUND * math.exp(rng.uniform(math.log(0.8), math.log(1.25)))
+    middle = (KEPT_SIDE_PX - 1) / 2
     turn = cv2.getRotationMatrix2D((middle, middle), rng.normal(0.0, 8.0), scale)
     shift = (SIDE - 1) / 2 - middle + rng.normal(0.0, 2.5, 2)
     turn = turn + np.column_stack([np.zeros((2, 2)), shift])
@@ -338,7 +341,7 @@ def _as_input(squares: Sequence[NDArray[np.uint8]]) -> Tensor:
 @torch.no_grad()
 def _log_odds(deployed: nn.Module, candidates: Sequence[Candidate]) -> NDArray[np.float64]:
     """(n,) of these, as the agent will see them."""
-    middle, side = np.full(2, (KEPT - 1) / 2), KEPT * AROUND / KEPT_AROUND
+    middle, side = np.full(2, (KEPT_SIDE_PX - 1) / 2), KEPT_SIDE_PX * AROUND / KEPT_AROUND
     squares = [square(candidate.picture, middle, side, SIDE) for candidate in candidates]
     parts = [deployed(_as_input(squares[i : i + 256]))[0] for i in range(0, len(squares), 256)]
     return torch.cat(parts).double().numpy() if parts else np.empty(0)

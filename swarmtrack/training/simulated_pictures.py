@@ -26,7 +26,7 @@ from swarmtrack.training.labelled_images import LabelledFrame
 SIMULATED = "simulated"
 FIRST_SEED = 1_000_000
 PER_WORLD = 12
-DRONES = 3  # that are seen, but for the observer
+DRONES_PER_WORLD = 3  # that are seen, but for the observer
 OBSERVER = 0
 SPANS_M = (0.3, 0.8)
 SIZES_PX = (8.0, 140.0)
@@ -63,7 +63,7 @@ def simulated_pictures(count: int, seed: int) -> Iterator[LabelledFrame]:
 def _of_world(seed: int, count: int) -> Iterator[LabelledFrame]:
     rng = np.random.default_rng(seed)
     mounted = ScenarioCamera(lens=replace(CAMERA, fx=(f := CAMERA.fx * rng.uniform(0.7, 1.6)), fy=f))
-    airframes = {drone: _airframe(rng) for drone in range(1, DRONES + 1)}
+    airframes = {drone: _airframe(rng) for drone in range(1, DRONES_PER_WORLD + 1)}
     eyes = [_eye(rng) for _ in range(count)]
     drones = {OBSERVER: Scattered(eyes, rng.normal(0.0, 2.0, 3), rng.normal(0.0, 0.5))}
     for drone, airframe in airframes.items():

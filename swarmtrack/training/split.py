@@ -11,7 +11,7 @@ from swarmtrack.training.labelled_clips import Clip, Origin, find_clips, labelle
 from swarmtrack.training.labelled_images import LabelledFrame, held_out, load_frames
 
 # Of clips that are held out, a fifth of the frames that would have been learned from.
-FEWER = 5
+HELD_OUT_FRAME_STRIDE = 5
 
 
 class Split(NamedTuple):
@@ -60,7 +60,7 @@ def what_to_learn(parts: Split, every: int) -> tuple[list[LabelledFrame], list[L
     """What to train on, and what to validate on: of clips windows, and whole frames."""
     training, validation = list(parts.images), list(parts.held_out_images)
     for clip, origin in parts.held_out_clips:
-        validation += labelled_frames(clip, origin, FEWER * every)
+        validation += labelled_frames(clip, origin, HELD_OUT_FRAME_STRIDE * every)
     for clip, origin in parts.clips:
         training += (window(frame) for frame in labelled_frames(clip, origin, every))
     return training, validation

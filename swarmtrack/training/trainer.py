@@ -33,11 +33,11 @@ from swarmtrack.training.network import create_network, loss
 from swarmtrack.training.validation import look, scores
 from swarmtrack.training.warm_start import adopt
 
-AVERAGING = 0.9995  # per step, of the exported weights: a memory of about 2000 steps
-WARM_UP = 300  # steps until the full learning rate
+DETECTOR_AVERAGING = 0.9995  # per step, of the exported weights: a memory of about 2000 steps
+DETECTOR_WARM_UP = 300  # steps until the full learning rate
 MEASURED = 4  # batches on which the normalisations of a model to start with are measured
 REPORT_PERIOD = 20.0  # s
-LOSSES = ("heat", "offset", "size")
+LOSS_NAMES = ("heat", "offset", "size")
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ class _Training:
                 if now - saved > 60 * settings.checkpoint_minutes:
                     self._save(np.mean(recent, axis=0))
                     saved = self._clock.now()
-        self._save(np.mean(recent, axis=0) if recent else np.full(len(LOSSES), math.nan))
+        self._save(np.mean(recent, axis=0) if recent else np.full(len(LOSS_NAMES), math.nan))
         return run
 
     def _begin_with(self, start: Path, batches: Sequence[tuple[Any, ...]]) -> None:
@@ -166,7 +166,7 @@ class _Training:
         images, *wanted = (torch.from_numpy(array).to(settings.device) for array in batch)
         rate = (
             settings.learning_rate
-            * min(1.0, (run.steps + 1) / WARM_UP)
+            * min(1.0, (run.steps + 1) / DETECTOR_WARM_UP)
             * (0.5 + 0.5 * math.cos(math.pi * done))
         )
         for group in self._optimizer.param_groups:
@@ -182,14 +182,16 @@ class _Training:
         total.backward()  # type: ignore[no-untyped-call]
         torch.nn.utils.clip_grad_norm_(self._network.parameters(), 10.0)
         self._optimizer.step()
-        average_into(self._average, self._network, min(AVERAGING, (1 + run.steps) / (10 + run.steps)))
+        average_into(
+            self._average, self._network, min(DETECTOR_AVERAGING, (1 + run.steps) / (10 + run.steps))
+        )
         run.steps += 1
         run.images += len(images)
         return [heat.item(), offset.item(), size.item()]
 
     def _report(self, done: float, losses: Any) -> None:
         run = self._run
-        values = " ".join(f"{name} {value:.3f}" for name, value in zip(LOSSES, losses, strict=True))
+        values = " ".join(f"{name} {value:.3f}" for name, value in zip(LOSS_NAMES, losses, strict=True))
         speed = run.images / run.seconds
         print(
             f"{run.seconds / 60:5.1f} min  {done:4.0%}  step {run.steps}  {speed:.0f} images/s  {values}",
@@ -204,10 +206,10 @@ class _Training:
         self._metadata["training_minutes"] = f"{run.seconds / 60:.1f}"
         export(copy.deepcopy(self._average).cpu(), self._out, self._metadata)
         entry = {"minutes": run.seconds / 60, "images": float(run.images)}
-        entry |= dict(zip(LOSSES, (float(value) for value in losses), strict=True))
+        entry |= dict(zip(LOSS_NAMES, (float(value) for value in losses), strict=True))
         if self._validation:
             entry |= scores(look(self._out, self._validation))
-            told = "  ".join(f"{name} {value:.3f}" for name, value in entry.items() if name not in LOSSES)
+            told = "  ".join(f"{name} {value:.3f}" for name, value in entry.items() if name not in LOSS_NAMES)
             print(f"checkpoint: {told}", file=sys.stderr, flush=True)
         run.history.append(entry)
         document = {

@@ -16,9 +16,9 @@ from swarmtrack.training.labelled_images import LabelledFrame
 from swarmtrack.training.validation import SURE_RECALL, look, scores
 
 CELL = 160  # px: side of a picture on the sheet
-COLUMNS, ROWS = 6, 4
-DRONE, FALSE = (80, 220, 80), (60, 60, 255)  # BGR
-LOSSES = ("heat", "offset", "size")
+REPORT_COLUMNS, REPORT_ROWS = 6, 4
+DRONE_COLOUR, FALSE_COLOUR = (80, 220, 80), (60, 60, 255)  # BGR
+REPORTED_LOSSES = ("heat", "offset", "size")
 
 
 class Error(NamedTuple):
@@ -73,9 +73,9 @@ def _markdown(model: Path, history: Sequence[dict[str, float]], found: dict[str,
 def contact_sheet(frames: Sequence[LabelledFrame], looks: Sequence[ScoredImage]) -> NDArray[np.uint8]:
     """The strongest false alarms, then the most clearly missed drones, each in the middle of its surroundings."""
     errors = worst_errors(looks)
-    sheet = np.full((ROWS * CELL, COLUMNS * CELL, 3), 40, np.uint8)
-    for k, error in enumerate(errors[: ROWS * COLUMNS]):
-        top, left = k // COLUMNS * CELL, k % COLUMNS * CELL
+    sheet = np.full((REPORT_ROWS * CELL, REPORT_COLUMNS * CELL, 3), 40, np.uint8)
+    for k, error in enumerate(errors[: REPORT_ROWS * REPORT_COLUMNS]):
+        top, left = k // REPORT_COLUMNS * CELL, k % REPORT_COLUMNS * CELL
         sheet[top : top + CELL, left : left + CELL] = _close_look(frames[error.frame].image, error)
     return sheet
 
@@ -91,17 +91,17 @@ def worst_errors(looks: Sequence[ScoredImage]) -> list[Error]:
             row[:] = by_centre(box, seen.drones) > 0
         for box, score, fit in zip(boxes, seen.found.score, fits, strict=True):
             if not fit.any() and score >= threshold:
-                alarms.append(Error(float(score), number, box, f"{score:.2f}", FALSE))
+                alarms.append(Error(float(score), number, box, f"{score:.2f}", FALSE_COLOUR))
         sure = fits & (seen.found.score >= threshold)[:, None]
         for box, hits, sure_hits in zip(seen.drones, fits.T, sure.T, strict=True):
             if not sure_hits.any():
                 best = float(seen.found.score[hits].max(initial=0.0))
-                misses.append(Error(1.0 - best, number, box, f"missed, {best:.2f}", DRONE))
+                misses.append(Error(1.0 - best, number, box, f"missed, {best:.2f}", DRONE_COLOUR))
     alarms.sort(key=lambda error: -error.badness)
     misses.sort(key=lambda error: -error.badness)
-    half = ROWS * COLUMNS // 2
-    room = ROWS * COLUMNS - min(len(misses), half)
-    return alarms[:room] + misses[: ROWS * COLUMNS - min(len(alarms), room)]
+    half = REPORT_ROWS * REPORT_COLUMNS // 2
+    room = REPORT_ROWS * REPORT_COLUMNS - min(len(misses), half)
+    return alarms[:room] + misses[: REPORT_ROWS * REPORT_COLUMNS - min(len(alarms), room)]
 
 
 def _close_look(image: NDArray[np.uint8], error: Error) -> NDArray[np.uint8]:
@@ -129,7 +129,7 @@ def _plot(history: Sequence[dict[str, float]], path: Path) -> None:
 
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4), layout="constrained")
     millions = [entry["images"] / 1e6 for entry in history]
-    for name in LOSSES:
+    for name in REPORTED_LOSSES:
         left.plot(millions, [entry[name] for entry in history], marker=".", label=name)
     left.set(xlabel="million samples", ylabel="loss", title="Losses", yscale="log")
     for name in ("centre_ap", "recall_1fppi", "recall_01fppi", "distractors_fired"):

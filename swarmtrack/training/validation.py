@@ -12,13 +12,13 @@ from swarmtrack.messages import Frame, StampKind
 from swarmtrack.training.feeding import TrainingError
 from swarmtrack.training.labelled_images import LabelledFrame
 
-LOWEST = 0.02  # score from which on detections count for the average precision
+LOWEST_SCORE = 0.02  # score from which on detections count for the average precision
 SURE_RECALL = 0.9  # at whose threshold the images without drones are counted that fire
 
 
 def look(model: Path, frames: Sequence[LabelledFrame]) -> list[ScoredImage]:
     """What the exported net finds in each image, whole, by itself."""
-    detector = Detector(str(model), score_threshold=LOWEST, second_stage="none", look="whole")
+    detector = Detector(str(model), score_threshold=LOWEST_SCORE, second_stage="none", look="whole")
     looks = []
     for frame in frames:
         found = detector.look(detector.plan(Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA)))

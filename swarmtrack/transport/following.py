@@ -16,11 +16,11 @@ async def follow_roster(
     if credentials is None:
         return
     # Not above: who has no keys need not load cryptography.
-    from swarmtrack.security.roster_watch import LOOK_S, RosterWatch  # noqa: PLC0415
+    from swarmtrack.security.roster_watch import ROSTER_PERIOD_S, RosterWatch  # noqa: PLC0415
 
     watch = RosterWatch(credentials.ca.parent, credentials, clock)
     while True:
-        await asyncio.sleep(LOOK_S)
+        await asyncio.sleep(ROSTER_PERIOD_S)
         found = await asyncio.to_thread(watch.news)
         if found is not None:
             await renew(found)

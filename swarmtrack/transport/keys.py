@@ -21,7 +21,7 @@ from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
 ROOT = "swarmtrack"
-VERSION = "v1"
+KEY_VERSION = "v1"
 ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
 NOTHING_YET = b"nothing announced yet"  # the answer of who has no pose to tell: it hears the question
 
@@ -36,7 +36,7 @@ ENCODINGS: dict[Kind, str] = {
     Kind.VIDEO: "application/msgpack;swarmtrack.Video/1",
 }
 
-ASKED: Final = (Kind.POSE, Kind.CAMERA)
+ASKED_KINDS: Final = (Kind.POSE, Kind.CAMERA)
 """What is said once, and to whoever asks."""
 
 MESSAGES: dict[Kind, type[Message]] = {
@@ -51,7 +51,7 @@ MESSAGES: dict[Kind, type[Message]] = {
 }
 
 _KEY = re.compile(
-    rf"{ROOT}/(?P<team>[^/]+)/{VERSION}/(?P<kind>{'|'.join(Kind)})/(?P<id>[1-9][0-9]{{0,4}})(?P<rest>(/[^/]+)*)"
+    rf"{ROOT}/(?P<team>[^/]+)/{KEY_VERSION}/(?P<kind>{'|'.join(Kind)})/(?P<id>[1-9][0-9]{{0,4}})(?P<rest>(/[^/]+)*)"
 )
 _BOOT = re.compile("[0-9a-f]{8}")
 _OTHERS = tuple(map(str, range(1, MOST_CAMERAS)))
@@ -69,7 +69,7 @@ class Address(NamedTuple):
 
 def key(team: str, kind: Kind | str, *rest: int | str) -> str:
     """`key("red", Kind.ALIVE, 3, "0123abcd")` is `swarmtrack/red/v1/alive/3/0123abcd`; `*` is a wildcard."""
-    return "/".join([ROOT, team, VERSION, str(kind), *map(str, rest)])
+    return "/".join([ROOT, team, KEY_VERSION, str(kind), *map(str, rest)])
 
 
 def video_key(team: str, drone_id: int | str, camera: int = 0) -> str:

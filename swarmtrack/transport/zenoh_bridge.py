@@ -20,7 +20,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Sample
 from swarmtrack.transport.limits import BRIDGE_CAPACITY, BRIDGE_HANDFUL, BRIDGE_REST_S, BRIDGE_ROUND_S
-from swarmtrack.wire.fields import MAX_BYTES
+from swarmtrack.wire.fields import MAX_MESSAGE_BYTES
 
 
 class Bridge:
@@ -72,7 +72,7 @@ class Bridge:
         return zenoh.handlers.Callback(on_reply, indirect=False)
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
-        payload = sample.payload.to_bytes()[: MAX_BYTES + 1]  # one too many is enough to be refused
+        payload = sample.payload.to_bytes()[: MAX_MESSAGE_BYTES + 1]  # one too many is enough to be refused
         alive = sample.kind == zenoh.SampleKind.PUT
         self.put(Sample(str(sample.key_expr), payload, alive, self._clock.now()))
 

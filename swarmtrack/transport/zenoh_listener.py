@@ -140,7 +140,7 @@ class ZenohListener:
         session = self._session
         if session is None:
             return set()
-        anyone = f"{keys.ROOT}/*/{keys.VERSION}/{Kind.ALIVE}/*/*"
+        anyone = f"{keys.ROOT}/*/{keys.KEY_VERSION}/{Kind.ALIVE}/*/*"
 
         def look() -> list[str]:
             replies = session.liveliness().get(anyone, timeout=TEAMS_ANSWER_S)
@@ -179,11 +179,11 @@ class ZenohListener:
             self._take(token)
         address = keys.parse(token.key)
         if token.alive and address is not None:
-            for kind in keys.ASKED:
+            for kind in keys.ASKED_KINDS:
                 self.ask(kind, address.drone_id)
 
     def ask(self, kind: Kind, drone_id: int) -> None:
-        """Have a drone say again what it says once (`keys.ASKED`), if that is listened to. Returns at once."""
+        """Have a drone say again what it says once (`keys.ASKED_KINDS`), if that is listened to. Returns at once."""
         key = keys.key(self._network.team, kind, drone_id)
         if self._session is not None and self._bridge is not None and self._hears(key):
             ask(self._session, key, self._bridge)

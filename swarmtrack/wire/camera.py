@@ -13,7 +13,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import from_quaternion, to_quaternion
 from swarmtrack.messages import MOST_CAMERAS
 from swarmtrack.wire.checks import check_unit
-from swarmtrack.wire.fields import VERSION, Boot, DroneId, Position, Quaternion, Record
+from swarmtrack.wire.fields import WIRE_VERSION, Boot, DroneId, Position, Quaternion, Record
 from swarmtrack.wire.lens import LensMessage, check_lens, lens_message
 
 
@@ -57,7 +57,7 @@ def camera_message(
         for lens, pose in zip(lenses, mountings, strict=True)
     )
     return CameraMessage(
-        VERSION, drone_id, boot, first.lens, first.position_m, first.quaternion_wxyz, tuple(others)
+        WIRE_VERSION, drone_id, boot, first.lens, first.position_m, first.quaternion_wxyz, tuple(others)
     )
 
 

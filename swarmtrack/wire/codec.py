@@ -22,7 +22,7 @@ from swarmtrack.wire import announcement, camera, motion, ranging, sightings, tr
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.checks import DecodeError, is_finite
-from swarmtrack.wire.fields import MAX_BYTES, VERSION
+from swarmtrack.wire.fields import MAX_MESSAGE_BYTES, WIRE_VERSION
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.ranging import RangeMessage
@@ -85,12 +85,14 @@ def encode(message: Message) -> bytes:
 
 def decode(kind: type[AnyMessage], data: bytes) -> AnyMessage:
     """The message as it stands on the wire. Raises DecodeError, whatever the bytes."""
-    if len(data) > MAX_BYTES:
-        raise DecodeError(f"{kind.what}: has more than {MAX_BYTES} bytes")
+    if len(data) > MAX_MESSAGE_BYTES:
+        raise DecodeError(f"{kind.what}: has more than {MAX_MESSAGE_BYTES} bytes")
     # An array (0x90 | length, or 0xdc and two bytes of it) of another version deserves the better of two error texts.
     version = data[3:4] if data[:1] == b"\xdc" else data[1:2] if data[:1] and data[0] & 0xF0 == 0x90 else b""
-    if version and version[0] < 0x80 and version[0] != VERSION:
-        raise DecodeError(f"{kind.what}: is of version {version[0]}, this program reads version {VERSION}")
+    if version and version[0] < 0x80 and version[0] != WIRE_VERSION:
+        raise DecodeError(
+            f"{kind.what}: is of version {version[0]}, this program reads version {WIRE_VERSION}"
+        )
     message = _typed(kind, data)
     if _PERHAPS_NOT_FINITE.search(data) and not is_finite(message):
         raise DecodeError(f"{kind.what}: holds NaN or infinity, expected finite numbers")

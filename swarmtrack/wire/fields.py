@@ -12,14 +12,14 @@ from msgspec import Meta
 
 from swarmtrack.messages import MOST_CAMERAS
 
-VERSION: Final = 1
+WIRE_VERSION: Final = 1
 # Bytes of one message; checked before anything is decoded.
-MAX_BYTES: Final = 64 * 1024
-# 255 tracks of at most 200 bytes stay below MAX_BYTES.
+MAX_MESSAGE_BYTES: Final = 64 * 1024
+# 255 tracks of at most 200 bytes stay below MAX_MESSAGE_BYTES.
 MAX_TRACKS: Final = 255
 MAX_SIGHTINGS: Final = 255
 # Leaves room for everything else in a video message.
-MAX_JPEG: Final = MAX_BYTES - 512
+MAX_JPEG: Final = MAX_MESSAGE_BYTES - 512
 # As many drones as a transport remembers.
 MAX_KNOWN: Final = 1024
 # Of Ed25519.
@@ -98,4 +98,4 @@ def peer_fields(
     drone_id: int, said: Said, utc_offset: float
 ) -> tuple[Literal[1], int, str, int, float, float]:
     """The fields of `PeerMessage` for what we say ourselves."""
-    return VERSION, drone_id, said.boot, said.sequence, float(said.t + utc_offset), float(said.t_sigma)
+    return WIRE_VERSION, drone_id, said.boot, said.sequence, float(said.t + utc_offset), float(said.t_sigma)

@@ -8,7 +8,7 @@ from msgspec import Meta
 
 from swarmtrack.messages import RangeReport
 from swarmtrack.wire.checks import DecodeError
-from swarmtrack.wire.fields import VERSION, DroneId, PeerMessage, Seconds
+from swarmtrack.wire.fields import WIRE_VERSION, DroneId, PeerMessage, Seconds
 
 Distance = Annotated[float, Meta(gt=0.0, le=1e4)]
 """m."""
@@ -33,7 +33,7 @@ def range_message(
     """Ours as it goes on the wire at `now`."""
     r = report
     return RangeMessage(
-        VERSION,
+        WIRE_VERSION,
         r.drone_id,
         boot,
         sequence,

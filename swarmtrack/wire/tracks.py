@@ -11,9 +11,9 @@ from msgspec import Meta
 from swarmtrack.messages import Array, IdentifiedTrack, RelativeState, TrackList
 from swarmtrack.wire.checks import DecodeError, check_covariances, symmetric, upper_triangle
 from swarmtrack.wire.fields import (
-    MAX_BYTES,
+    MAX_MESSAGE_BYTES,
     MAX_TRACKS,
-    VERSION,
+    WIRE_VERSION,
     CameraNumber,
     DroneId,
     Length,
@@ -119,9 +119,11 @@ def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma:
         if k.proof is not None
     )
     cameras = tuple(int(k.track.camera) for k in kept)
-    room = MAX_BYTES - _FRAME_BYTES - len(kept) - _TRACK_BYTES * len(kept) - _PROOF_BYTES * len(proofs)
+    room = (
+        MAX_MESSAGE_BYTES - _FRAME_BYTES - len(kept) - _TRACK_BYTES * len(kept) - _PROOF_BYTES * len(proofs)
+    )
     return TracksMessage(
-        version=VERSION,
+        version=WIRE_VERSION,
         t_utc_s=float(tracks.t + utc_offset),
         t_sigma_s=float(t_sigma),
         sequence=sequence,

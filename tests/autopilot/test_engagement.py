@@ -5,7 +5,12 @@ import itertools
 import pytest
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.engagement import TRANSITIONS, EngagementEvent, EngagementStage, PilotEngagement
+from swarmtrack.autopilot.engagement import (
+    ENGAGEMENT_TRANSITIONS,
+    EngagementEvent,
+    EngagementStage,
+    PilotEngagement,
+)
 from swarmtrack.autopilot.limits import ENGAGEMENT_SILENT_S
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
 from swarmtrack.mavlink_dialect import CurrentMode
@@ -365,13 +370,15 @@ def test_a_failsafe_while_the_switch_is_off_is_a_failure_too():
 
 
 def test_every_pair_of_stage_and_event_ends_where_the_table_says():
-    leads_to_engaged = {pair for pair, then in TRANSITIONS.items() if then is EngagementStage.ENGAGED}
+    leads_to_engaged = {
+        pair for pair, then in ENGAGEMENT_TRANSITIONS.items() if then is EngagementStage.ENGAGED
+    }
     assert leads_to_engaged == {(EngagementStage.AWAY, EngagementEvent.ENTERED)}
     for stage, event in itertools.product(EngagementStage, EngagementEvent):
         engagement = PilotEngagement()
         engagement.stage = stage
         engagement._fire(event, "because")
-        then = TRANSITIONS.get((stage, event), stage)
+        then = ENGAGEMENT_TRANSITIONS.get((stage, event), stage)
         assert engagement.stage is then
         ended = stage is EngagementStage.ENGAGED and then is not stage
         assert bool(engagement.take_end()) == ended

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.framer import CRC_EXTRA, Framer, _crc
+from swarmtrack.autopilot.framer import CRC_EXTRA_OF_MESSAGE, Framer, _crc
 from swarmtrack.autopilot.signing import EPOCH, TICKS_PER_SECOND, Codec, read_key
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
@@ -127,7 +127,7 @@ def test_a_frame_held_back_by_a_false_header_comes_with_the_flush():
 def test_longer_payloads_than_our_dialect_knows_are_accepted_if_their_crc_is_right():
     (frame,) = packed(1)
     body = bytes((len(frame) - 12 + 5,)) + frame[2:-2] + b"newer"
-    newer = b"\xfd" + body + _crc(body + CRC_EXTRA[105]).to_bytes(2, "little")
+    newer = b"\xfd" + body + _crc(body + CRC_EXTRA_OF_MESSAGE[105]).to_bytes(2, "little")
     (found,) = Framer().feed(newer)
     message = Codec(ManualClock(), 1, 191).decode(found)
     assert message.time_usec == 1_000_000

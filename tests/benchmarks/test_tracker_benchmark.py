@@ -16,7 +16,7 @@ from swarmtrack.benchmarks.trackers.results import paired_ratio
 from swarmtrack.benchmarks.trackers.scenes import MOST_P_DETECTION, SCENES, film
 from swarmtrack.errors import MissingExtraError
 from swarmtrack.lab.score.paper_scenario import CONDITIONS
-from swarmtrack.lab.score.track_score import FAR_PX, StatedTracks, score_found, score_named
+from swarmtrack.lab.score.track_score import FAR_TRACK_PX, StatedTracks, score_found, score_named
 from swarmtrack.tracking import TRACKERS, Scan
 from swarmtrack.tracking.gaussian import innovations
 from swarmtrack.tracking.motion_model import propagate
@@ -84,7 +84,7 @@ def test_a_track_that_is_gone_is_lost_and_stands_where_it_was():
 def test_a_track_in_the_void_is_lost():
     truth = two_targets()
     estimate = truth.copy()
-    estimate[-1, 1] += [0.0, FAR_PX + 1.0]
+    estimate[-1, 1] += [0.0, FAR_TRACK_PX + 1.0]
     score = score_named(truth, estimate)
     assert score.lost.tolist() == [False, True]
 

@@ -21,7 +21,7 @@ from swarmtrack.lab.autopilots.senses import DroneSenses
 from swarmtrack.lab.autopilots.truth import DroneTruth
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
-from swarmtrack.lab.swarm.truth_messages import ATTITUDE_QUATERNION, SIM_STATE, TruthReader
+from swarmtrack.lab.swarm.truth_messages import SIM_STATE, TRUTH_ATTITUDE_QUATERNION, TruthReader
 from swarmtrack.lab.world.followed import FollowedDrone
 from swarmtrack.lab.world.world import World
 
@@ -42,7 +42,7 @@ def followed(scenario: Scenario, drone_id: int, seconds: float) -> FollowedDrone
         boot_at=BEGINS_S - 20.0,
         skew=150e-6,
     )
-    for message_id in (SIM_STATE, ATTITUDE_QUATERNION):
+    for message_id in (SIM_STATE, TRUTH_ATTITUDE_QUATERNION):
         pilot.set_interval(message_id, 20_000.0, BEGINS_S, pilot.channels[TRUTH_PORT])
     drone, reader = FollowedDrone(keep_s=math.inf), TruthReader(scenario.origin)
     parser, chance = common.MAVLink(None), np.random.default_rng(drone_id)

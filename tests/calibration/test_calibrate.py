@@ -20,7 +20,7 @@ from support.fake_autopilot import serve_udp
 from support.ports import free_port
 from swarmtrack.agents.main import main
 from swarmtrack.benchmarks import calibration as bench
-from swarmtrack.calibration.board import KINDS, Board, Seen, as_pdf
+from swarmtrack.calibration.board import BOARD_KINDS, Board, Seen, as_pdf
 from swarmtrack.calibration.extrinsics import (
     doubts,
     for_the_config,
@@ -304,7 +304,7 @@ def test_a_config_that_would_be_spoilt_stays_as_it_was(tmp_path):
 # ── boards and intrinsics ────────────────────────────────────────────────────────────────────────────────────────────
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", BOARD_KINDS)
 def test_a_drawn_board_is_found_where_its_corners_are(kind):
     board = Board(kind, 6, 5, 0.03)
     image = np.pad(board.draw(80), 60, constant_values=255)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from swarmtrack.camera_sources.address import parse_address, server_url
 from swarmtrack.camera_sources.http_stream import NetworkOptions
-from swarmtrack.camera_sources.opening import CAMERAS, open_camera
+from swarmtrack.camera_sources.opening import CAMERA_SOURCES, open_camera
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
 
@@ -65,7 +65,9 @@ def test_an_address_that_can_never_work_is_refused_with_what_was_found_and_expec
 
 
 @given(
-    st.one_of(st.text(), st.builds("{}:{}?{}".format, st.sampled_from(sorted(CAMERAS)), st.text(), st.text()))
+    st.one_of(
+        st.text(), st.builds("{}:{}?{}".format, st.sampled_from(sorted(CAMERA_SOURCES)), st.text(), st.text())
+    )
 )
 @example("file:" + 300 * "0")  # longer than a name may be: `Path.exists` raises OSError
 @example("images:" + 300 * "0")

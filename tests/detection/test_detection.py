@@ -15,7 +15,7 @@ from support.places import SHARED
 from swarmtrack.benchmarks import detector as bench
 from swarmtrack.detection import letterbox
 from swarmtrack.detection.description import Description
-from swarmtrack.detection.detector import SMALLEST, Detector
+from swarmtrack.detection.detector import SMALLEST_INPUT_PX, Detector
 from swarmtrack.detection.heads import Candidates, centernet, read, suppress
 from swarmtrack.detection.metadata import box_width_of
 from swarmtrack.detection.model import metadata_of, model_path
@@ -221,7 +221,7 @@ def test_shifting_the_image_shifts_the_detection_as_much(detector):
         np.zeros((100, 100, 3), np.uint16),
         np.zeros((100, 100, 4), np.uint8),
         np.zeros((100, 100), np.float32),
-        np.zeros((SMALLEST - 1, 100), np.uint8),
+        np.zeros((SMALLEST_INPUT_PX - 1, 100), np.uint8),
         np.zeros(100, np.uint8),
     ],
     ids=lambda image: f"{image.dtype}{image.shape}",

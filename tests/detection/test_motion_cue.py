@@ -7,7 +7,13 @@ import numpy as np
 import pytest
 
 from swarmtrack.detection.heads import Candidates
-from swarmtrack.detection.motion_cue import APART_S, LONGEST_S, MOST_KEPT, SURE, MotionCue
+from swarmtrack.detection.motion_cue import (
+    MOST_KEPT,
+    MOTION_FRAMES_APART_S,
+    MOTION_LONGEST_GAP_S,
+    MOTION_SURE_SCORE,
+    MotionCue,
+)
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Frame, StampKind
@@ -89,7 +95,7 @@ def test_a_weak_candidate_that_moved_is_shown_and_one_that_stands_still_is_as_we
         picture(STILL_THEN, MOVED_THEN), picture(STILL_NOW, MOVED_NOW), candidates(STILL_NOW, MOVED_NOW)
     )
     assert shown.centre.tolist() == [MOVED_NOW.tolist()]
-    assert shown.score[0] > SURE
+    assert shown.score[0] > MOTION_SURE_SCORE
     assert shown.size.tolist() == [[14.0, 14.0]]
 
 
@@ -142,7 +148,7 @@ def test_grey_and_colour_are_alike_and_no_candidate_is_no_matter(shape):
         return np.repeat(picture(*centres)[..., None], channels, axis=2).reshape(shape)
 
     shown = weighed(image(MOVED_THEN), image(MOVED_NOW), candidates(MOVED_NOW))
-    assert shown.score[0] > SURE
+    assert shown.score[0] > MOTION_SURE_SCORE
     nobody = weighed(image(), image(), candidates())
     assert len(nobody.score) == 0
 
@@ -153,11 +159,11 @@ def test_the_frame_to_compare_with_is_the_youngest_that_is_old_enough_and_few_ar
     for k in range(60):
         t = k / fps
         before = compared_with(cue, t)
-        if k / fps >= APART_S + 1.0 / fps:
+        if k / fps >= MOTION_FRAMES_APART_S + 1.0 / fps:
             assert before is not None
-            assert APART_S <= t - before < APART_S + 1.0 / fps + 1e-9
+            assert MOTION_FRAMES_APART_S <= t - before < MOTION_FRAMES_APART_S + 1.0 / fps + 1e-9
         keep(cue, t, np.zeros((16, 16), np.uint8))
-        assert frames_kept(cue) <= math.ceil(APART_S * fps) + 2
+        assert frames_kept(cue) <= math.ceil(MOTION_FRAMES_APART_S * fps) + 2
 
 
 def test_frames_are_not_kept_whoever_asks_for_none_and_however_slowly_their_clock_goes():
@@ -173,11 +179,11 @@ def test_frames_are_not_kept_whoever_asks_for_none_and_however_slowly_their_cloc
 
 
 def test_after_a_pause_a_clock_that_went_back_or_another_size_nothing_is_compared():
-    for t, shape in ((1.0 + LONGEST_S + 0.1, (16, 16)), (1.0 - 1e-3, (16, 16)), (1.1, (8, 16))):
+    for t, shape in ((1.0 + MOTION_LONGEST_GAP_S + 0.1, (16, 16)), (1.0 - 1e-3, (16, 16)), (1.1, (8, 16))):
         cue = MotionCue()
         keep(cue, 1.0, np.zeros((16, 16), np.uint8))
         assert compared_with(cue, 1.1) == 1.0
-        if t < 1.0 + LONGEST_S:
+        if t < 1.0 + MOTION_LONGEST_GAP_S:
             keep(cue, t, np.zeros(shape, np.uint8))
             assert compared_with(cue, t + 0.05) is None
         else:

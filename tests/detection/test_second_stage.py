@@ -177,10 +177,10 @@ def test_what_is_followed_is_shown_as_before_and_looks_no_more_like_a_drone(tmp_
 def test_of_a_crowd_the_last_are_not_asked_about_and_not_lost(tmp_path):
     stage = SecondStage(stage_net(tmp_path / "stage.onnx"))
     bright = np.full((100, 200), 228, np.uint8)
-    crowd = candidates(*((5 * i, 50, 8, 0.6) for i in range(second_stage.MOST + 3)))
+    crowd = candidates(*((5 * i, 50, 8, 0.6) for i in range(second_stage.SECOND_STAGE_MOST_BOXES + 3)))
     score = stage.judge(bright, crowd, LOOSE).score
-    assert score[: second_stage.MOST] == pytest.approx(expit(logit(0.6) + 2.0 + 0.5))
-    assert score[second_stage.MOST :] == pytest.approx(expit(logit(0.6) + 0.5))
+    assert score[: second_stage.SECOND_STAGE_MOST_BOXES] == pytest.approx(expit(logit(0.6) + 2.0 + 0.5))
+    assert score[second_stage.SECOND_STAGE_MOST_BOXES :] == pytest.approx(expit(logit(0.6) + 0.5))
 
 
 def test_the_shipped_stage_goes_with_the_shipped_model_and_with_no_other_unless_told(tmp_path):

@@ -13,44 +13,51 @@ from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
 from support.ports import free_port
 from swarmtrack.agents.main import main
 from swarmtrack.autopilot.parameters import ParameterReader
-from swarmtrack.diagnosis.autopilot_limits import ARDUPILOT, DEMANDS, PX4, Asked, asked_of, check_limits
+from swarmtrack.diagnosis.autopilot_limits import (
+    ARDUPILOT_KIND,
+    DEMANDS,
+    PX4_KIND,
+    Asked,
+    asked_of,
+    check_limits,
+)
 from swarmtrack.diagnosis.findings import Level
 from swarmtrack.formation.parameters import FlightLimits
 
 ASKED = Asked(FlightLimits(), 6.0)
 GOOD = {
-    ARDUPILOT: {
+    ARDUPILOT_KIND: {
         "GUID_TIMEOUT": 1.0, "FENCE_ENABLE": 1, "FENCE_ACTION": 1, "FENCE_TYPE": 7, "FENCE_RADIUS": 60.0,
         "FENCE_ALT_MAX": 30.0, "WPNAV_SPEED": 400.0,
     },
-    PX4: {
+    PX4_KIND: {
         "COM_OF_LOSS_T": 1.0, "COM_OBL_RC_ACT": 0, "COM_RC_OVERRIDE": 3, "GF_ACTION": 2, "GF_MAX_HOR_DIST": 60.0,
         "GF_MAX_VER_DIST": 30.0, "MPC_XY_VEL_MAX": 4.0, "MPC_Z_VEL_MAX_UP": 2.0, "MPC_Z_VEL_MAX_DN": 1.5,
     },
 }  # fmt: skip
 BAD = [
-    (ARDUPILOT, "GUID_TIMEOUT", 3.0, "set GUID_TIMEOUT to 1"),
-    (ARDUPILOT, "GUID_TIMEOUT", 0.0, "set GUID_TIMEOUT to 1"),
-    (ARDUPILOT, "FENCE_ENABLE", 0, "set FENCE_ENABLE to 1"),
-    (ARDUPILOT, "FENCE_ACTION", 0, "only reports"),
-    (ARDUPILOT, "FENCE_TYPE", 4, "set FENCE_TYPE to 3"),
-    (ARDUPILOT, "FENCE_RADIUS", 300.0, "set FENCE_RADIUS to 70"),
-    (ARDUPILOT, "WPNAV_SPEED", 1000.0, "set WPNAV_SPEED to 500"),
-    (ARDUPILOT, "WP_SPD", 10.0, "set WP_SPD to 5"),
-    (ARDUPILOT, "FENCE_ALT_MAX", 100.0, "set FENCE_ALT_MAX to 36"),
-    (ARDUPILOT, "FENCE_TYPE", -1.0, "set FENCE_TYPE to 3"),
-    (ARDUPILOT, "FENCE_TYPE", 7.5, "set FENCE_TYPE to 3"),
-    (ARDUPILOT, "FENCE_ENABLE", 1e30, "set FENCE_ENABLE to 1"),
-    (PX4, "COM_OBL_RC_ACT", 0.7, "set COM_OBL_RC_ACT to 0"),
-    (PX4, "COM_RC_OVERRIDE", -1.0, "sticks"),
-    (PX4, "GF_MAX_VER_DIST", 0.0, "set GF_MAX_VER_DIST to 36"),
-    (PX4, "COM_OF_LOSS_T", 5.0, "set COM_OF_LOSS_T to 1"),
-    (PX4, "COM_OBL_RC_ACT", 7, "7 (Disarm)"),
-    (PX4, "COM_OBL_RC_ACT", 3, "3 (Return)"),
-    (PX4, "COM_RC_OVERRIDE", 1, "sticks"),
-    (PX4, "GF_ACTION", 4, "set GF_ACTION to 2"),
-    (PX4, "GF_MAX_HOR_DIST", 0.0, "set GF_MAX_HOR_DIST to 70"),
-    (PX4, "MPC_XY_VEL_MAX", 12.0, "set MPC_XY_VEL_MAX to 5"),
+    (ARDUPILOT_KIND, "GUID_TIMEOUT", 3.0, "set GUID_TIMEOUT to 1"),
+    (ARDUPILOT_KIND, "GUID_TIMEOUT", 0.0, "set GUID_TIMEOUT to 1"),
+    (ARDUPILOT_KIND, "FENCE_ENABLE", 0, "set FENCE_ENABLE to 1"),
+    (ARDUPILOT_KIND, "FENCE_ACTION", 0, "only reports"),
+    (ARDUPILOT_KIND, "FENCE_TYPE", 4, "set FENCE_TYPE to 3"),
+    (ARDUPILOT_KIND, "FENCE_RADIUS", 300.0, "set FENCE_RADIUS to 70"),
+    (ARDUPILOT_KIND, "WPNAV_SPEED", 1000.0, "set WPNAV_SPEED to 500"),
+    (ARDUPILOT_KIND, "WP_SPD", 10.0, "set WP_SPD to 5"),
+    (ARDUPILOT_KIND, "FENCE_ALT_MAX", 100.0, "set FENCE_ALT_MAX to 36"),
+    (ARDUPILOT_KIND, "FENCE_TYPE", -1.0, "set FENCE_TYPE to 3"),
+    (ARDUPILOT_KIND, "FENCE_TYPE", 7.5, "set FENCE_TYPE to 3"),
+    (ARDUPILOT_KIND, "FENCE_ENABLE", 1e30, "set FENCE_ENABLE to 1"),
+    (PX4_KIND, "COM_OBL_RC_ACT", 0.7, "set COM_OBL_RC_ACT to 0"),
+    (PX4_KIND, "COM_RC_OVERRIDE", -1.0, "sticks"),
+    (PX4_KIND, "GF_MAX_VER_DIST", 0.0, "set GF_MAX_VER_DIST to 36"),
+    (PX4_KIND, "COM_OF_LOSS_T", 5.0, "set COM_OF_LOSS_T to 1"),
+    (PX4_KIND, "COM_OBL_RC_ACT", 7, "7 (Disarm)"),
+    (PX4_KIND, "COM_OBL_RC_ACT", 3, "3 (Return)"),
+    (PX4_KIND, "COM_RC_OVERRIDE", 1, "sticks"),
+    (PX4_KIND, "GF_ACTION", 4, "set GF_ACTION to 2"),
+    (PX4_KIND, "GF_MAX_HOR_DIST", 0.0, "set GF_MAX_HOR_DIST to 70"),
+    (PX4_KIND, "MPC_XY_VEL_MAX", 12.0, "set MPC_XY_VEL_MAX to 5"),
 ]
 
 
@@ -85,7 +92,7 @@ def value(name, number, kind=common.MAV_PARAM_TYPE_REAL32):
 
 def test_a_whole_number_of_px4_is_read_from_its_bits_and_that_of_ardupilot_is_a_number():
     bits = struct.unpack("<f", struct.pack("<i", 3))[0]
-    for kind, name, sent in ((PX4, "COM_RC_OVERRIDE", bits), (ARDUPILOT, "FENCE_TYPE", 3.0)):
+    for kind, name, sent in ((PX4_KIND, "COM_RC_OVERRIDE", bits), (ARDUPILOT_KIND, "FENCE_TYPE", 3.0)):
         reader = ParameterReader(asked_of)
         reader.meet(kind)
         reader.on_value(0.0, value(name, sent, common.MAV_PARAM_TYPE_INT32))
@@ -95,7 +102,7 @@ def test_a_whole_number_of_px4_is_read_from_its_bits_and_that_of_ardupilot_is_a_
 def test_what_nobody_asked_for_and_what_is_no_number_is_passed_over():
     reader = ParameterReader(asked_of)
     reader.on_value(0.0, value("GUID_TIMEOUT", 1.0))
-    reader.meet(ARDUPILOT)
+    reader.meet(ARDUPILOT_KIND)
     reader.on_value(0.0, value("GUID_TIMEOUT", math.nan))
     reader.on_value(0.0, value("GUID_TIMEOUT", math.inf))
     reader.on_value(0.0, value("ARMING_CHECK", 1.0))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from support.formation_states import HEIGHT, SLOTS, Flying, in_slot, leader_from, parameters, state, track
-from swarmtrack.formation.formation import HOLDS, Formation
+from swarmtrack.formation.formation import HOLD_TEXTS, Formation
 from swarmtrack.formation.margins import (
     AT_HEIGHT_M,
     COMMAND_FADED_S,
@@ -13,7 +13,7 @@ from swarmtrack.formation.margins import (
     REFERENCE_ENTRY_S,
     REFERENCE_UNSEEN_S,
 )
-from swarmtrack.formation.setpoint import STILL, OwnSway, Why
+from swarmtrack.formation.setpoint import STANDSTILL, OwnSway, Why
 from swarmtrack.messages import TrackStatus
 from swarmtrack.relative.heights import HeightSight
 
@@ -31,7 +31,7 @@ def test_in_its_slot_behind_a_leader_that_stands_a_drone_stands(flying):
     setpoint = flying.settled(in_slot(heading=math.atan2(-3.0, 4.0)))
     assert setpoint.why is Why.FOLLOW
     assert not setpoint.holds
-    assert setpoint.velocity == pytest.approx(STILL, abs=1e-9)
+    assert setpoint.velocity == pytest.approx(STANDSTILL, abs=1e-9)
     assert setpoint.yaw_rate == pytest.approx(0.0, abs=1e-9)
     assert setpoint.error == pytest.approx(0.0, abs=1e-9)
 
@@ -85,7 +85,7 @@ def test_a_command_begins_at_rest_and_changes_by_no_more_than_its_acceleration()
     flying = Flying(Formation(parameters(limits={"acceleration": 1.0})))
     own = in_slot()
     first = flying.tell(own)
-    assert first.velocity == STILL
+    assert first.velocity == STANDSTILL
     assert first.yaw_rate == 0.0
     before = first.velocity
     for _ in range(40):
@@ -231,9 +231,9 @@ def test_what_a_drone_cannot_fly_by_makes_it_stop_and_say_so(flying, facts, why)
     held = in_slot(**facts)
     setpoint = flying.tell(held, {10: leader_from(held, **moving)}, [track()], seconds=1.0)
     assert setpoint.why is why
-    assert setpoint.velocity == STILL
+    assert setpoint.velocity == STANDSTILL
     assert setpoint.holds
-    assert setpoint.text == HOLDS[why]
+    assert setpoint.text == HOLD_TEXTS[why]
     # And it goes on only after the reference was sure for a second again.
     assert (
         flying.tell(own, {10: leader_from(own, **moving)}, [track()], seconds=REFERENCE_ENTRY_S).why
@@ -439,7 +439,7 @@ def test_engaging_again_begins_from_rest_with_a_fence_around_that_place(flying):
     own = in_slot()
     assert level(flying.settled(own, velocity=(2.0, 0.0, 0.0))) > 1.9
     flying.formation.engage()
-    assert flying.tell(own, {10: leader_from(own)}, [track()]).velocity == STILL
+    assert flying.tell(own, {10: leader_from(own)}, [track()]).velocity == STANDSTILL
 
 
 def test_the_same_story_gives_the_same_setpoints_to_the_last_bit():
@@ -492,7 +492,7 @@ def test_a_height_that_drifts_holds_the_drone_and_costs_its_leader_no_name(flyin
     assert setpoint.why is Why.HEIGHT_DOUBT
     assert setpoint.holds
     assert setpoint.text.startswith("own or drone 1's height seems wrong by ")
-    assert setpoint.velocity == pytest.approx(STILL, abs=1e-9)
+    assert setpoint.velocity == pytest.approx(STANDSTILL, abs=1e-9)
     assert Why.ENTRY not in whys
     # Whoever engages it again says that its height is right by now.
     flying.formation.engage()

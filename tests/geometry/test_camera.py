@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmtrack.geometry.camera import WIDE, WIDEST, Equidistant, PinholeCamera, RadTan
+from swarmtrack.geometry.camera import WIDE_LENS_RAD, WIDEST_LENS_RAD, Equidistant, PinholeCamera, RadTan
 
 CAMERAS = {
     "ideal": PinholeCamera(600.0, 610.0, 320.0, 256.0, 640, 512),
@@ -250,7 +250,7 @@ def test_the_ideal_bounds_of_an_image_wider_than_its_lens_model_end_with_the_mod
     camera = PinholeCamera(150.0, 150.0, 320.0, 240.0, 640, 480, Equidistant((0.0, 0.0, 0.0, 0.0)))
     assert np.isnan(camera.undistort(np.array([[0.0, 0.0]]))).all()
     low, high = camera.ideal_bounds
-    reach = 150.0 * 2.0 * math.tan(WIDEST / 2.0)
+    reach = 150.0 * 2.0 * math.tan(WIDEST_LENS_RAD / 2.0)
     assert low == pytest.approx([320.0 - reach, 240.0 - reach])
     assert high == pytest.approx([320.0 + reach, 240.0 + reach])
 
@@ -272,7 +272,7 @@ def test_a_lens_is_wide_whose_corners_show_more_than_80_degrees_and_no_other():
     widths = [640, 480, 320]
     for width in widths:
         camera = PinholeCamera(190.0, 190.0, 0.5 * width - 0.5, 119.5, width, 240, Equidistant((0.0,) * 4))
-        assert camera.is_wide == (math.hypot(width, 240) / 380.0 > WIDE)
+        assert camera.is_wide == (math.hypot(width, 240) / 380.0 > WIDE_LENS_RAD)
     for lens in (None, RadTan((-0.28, 0.07, 0.0, 0.0)), Equidistant((-0.2, 0.0, 0.0, 0.0))):
         # The last one folds at 74 degrees.
         assert not PinholeCamera(100.0, 100.0, 319.5, 239.5, 640, 480, lens).is_wide

@@ -8,7 +8,7 @@ import time
 from support.patience import PATIENCE
 from swarmtrack.benchmarks.guard import FlownPx4, Sky, flying_agent
 from swarmtrack.benchmarks.lone_agent import free_udp_port
-from swarmtrack.lab.autopilots.firmware import PX4, FlightMode
+from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE, FlightMode
 
 FROZEN_S = 3.0
 # s after it has gone on: zeros would take PX4 back within one.
@@ -20,7 +20,7 @@ def since(sky, t):
 
 
 def flies_by_hand(sky):
-    return sky.pilot.mode == PX4.modes[FlightMode.POSITION]
+    return sky.pilot.mode == PX4_FIRMWARE.modes[FlightMode.POSITION]
 
 
 async def until(condition):

@@ -124,7 +124,7 @@ async def test_who_does_not_say_what_it_wants_is_sent_away_in_time(monkeypatch):
 
 
 async def test_who_has_its_answer_and_asks_no_more_is_sent_away_too(monkeypatch):
-    monkeypatch.setattr(entrances, "ANSWER_S", 0.3)
+    monkeypatch.setattr(entrances, "REQUEST_ANSWER_S", 0.3)
     monkeypatch.setattr(entrances, "SWEEP_S", 0.05)
     async with served() as one:
         reader, writer = await one.connect(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")

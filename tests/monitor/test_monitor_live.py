@@ -87,7 +87,7 @@ class Nobody:
 
 
 async def test_a_silent_teams_page_names_those_that_are_heard_and_the_terminal_once(monkeypatch, caplog):
-    monkeypatch.setattr(live, "SILENT_S", 0.01)
+    monkeypatch.setattr(live, "LIVE_PEERS_PERIOD_S", 0.01)
     listener, team = Silence("sim-1234", "blue"), MonitoredTeam("red", ManualClock(0.0))
     assert team.state()["light"]["also"] == [START_ONE]
     await LiveFeed(team, listener).run(Nobody())

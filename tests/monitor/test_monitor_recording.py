@@ -34,7 +34,7 @@ from swarmtrack.errors import RecordingError
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.monitor.overlay import boxes
 from swarmtrack.monitor.own_recording import DroneRecording
-from swarmtrack.monitor.player import STEP_S, Playback, RecordingPlayer
+from swarmtrack.monitor.player import PLAYER_STEP_S, Playback, RecordingPlayer
 from swarmtrack.monitor.recorded import read_timeline
 from swarmtrack.monitor.timeline import BlobFile
 from swarmtrack.recording.reader import recordings_below
@@ -61,7 +61,7 @@ def flown(tmp_path_factory) -> Path:
 
 
 def at(playback: Playback, t: float) -> dict:
-    playback.seek(round(t / STEP_S))
+    playback.seek(round(t / PLAYER_STEP_S))
     return playback.state()
 
 

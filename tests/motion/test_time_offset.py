@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from swarmtrack.benchmarks import time_offset
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.lab.world.trajectory import STANDARD_GRAVITY
 from swarmtrack.messages import Detections, ImuSample, Scan
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
@@ -109,7 +109,7 @@ class FirstStep:
             v, x = v + a * self.DT, x + v * self.DT
             r += 6.0 * (min(max(1.5 * (nose - yaw), -1.05), 1.05) - r) * self.DT
             yaw += r * self.DT
-            states.append((x, math.atan(a / STANDARD_GRAVITY), yaw, r))
+            states.append((x, math.atan(a / STANDARD_GRAVITY_M_S2), yaw, r))
         self._x, self._roll, self._yaw, self._yaw_rate = np.array(states).T
         self._roll_rate = np.gradient(self._roll, self.DT)
         self._teammate = rng.uniform([-1.5, -0.5, 6.0], [1.5, 0.8, 12.0])

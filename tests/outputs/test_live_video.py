@@ -24,7 +24,7 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_listener import ZenohListener
 from swarmtrack.wire import codec
-from swarmtrack.wire.fields import MAX_BYTES
+from swarmtrack.wire.fields import MAX_MESSAGE_BYTES
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.video import VideoMessage
@@ -45,7 +45,7 @@ def test_any_image_fits_into_one_message(size):
     noise = np.random.default_rng(1).integers(0, 256, size, dtype=np.uint8)  # what JPEG shrinks least
     sent = with_picture(VIEW, noise)
     assert sent is not None
-    assert len(codec.encode(sent)) <= MAX_BYTES
+    assert len(codec.encode(sent)) <= MAX_MESSAGE_BYTES
     picture = cv2.imdecode(np.frombuffer(sent.jpeg, np.uint8), cv2.IMREAD_UNCHANGED)
     assert picture is not None
     assert picture.shape[:2] == (sent.height, sent.width)

@@ -22,7 +22,7 @@ from swarmtrack.recording.limits import (
     LARGEST_NOTE_BYTES,
     MOST_DECLARED_CHANNELS,
 )
-from swarmtrack.recording.reader import MAGIC, Segment, recordings_below
+from swarmtrack.recording.reader import MCAP_MAGIC, Segment, recordings_below
 from swarmtrack.recording.repair import repair
 from swarmtrack.recording.settings import read_settings
 from swarmtrack.recording.writer import Attachment as Attached
@@ -77,7 +77,7 @@ WHOLE = record(5, struct.pack("<HIQQ", 1, 0, 5, 5) + b'{"k":0}')
 
 
 def hand_made(path, *parts):
-    path.write_bytes(MAGIC + metadata({**KNOWN, "segment": "1"}) + b"".join(parts))
+    path.write_bytes(MCAP_MAGIC + metadata({**KNOWN, "segment": "1"}) + b"".join(parts))
     return path
 
 
@@ -177,7 +177,7 @@ def test_a_preface_that_nobody_could_use_is_refused_where_it_is_opened(tmp_path,
     if value is None:
         del known[key]
     path = tmp_path / "a.mcap"
-    path.write_bytes(MAGIC + metadata(known) + SCHEMA + CHANNEL + WHOLE)
+    path.write_bytes(MCAP_MAGIC + metadata(known) + SCHEMA + CHANNEL + WHOLE)
     for command in (["log", "info"], ["replay"]):
         assert swarmtrack.main([*command, str(path)]) == 2
         assert said in capsys.readouterr().err
@@ -187,7 +187,7 @@ def test_what_is_printed_of_a_recording_commands_no_terminal(tmp_path, capsys):
     channel = record(4, struct.pack("<HH", 1, 1) + text(b"/x\x1b[2J\nforged") + text(b"json") + text(b""))
     path = tmp_path / "a.mcap"
     known = {**KNOWN, "segment": "1", "team": "red\x1b]0;pwned\x07"}
-    path.write_bytes(MAGIC + metadata(known) + SCHEMA + channel + WHOLE + record(15, bytes(4)))
+    path.write_bytes(MCAP_MAGIC + metadata(known) + SCHEMA + channel + WHOLE + record(15, bytes(4)))
     assert swarmtrack.main(["log", "info", str(path)]) == 0
     said = capsys.readouterr().out
     assert all(line.isprintable() for line in said.splitlines())
@@ -229,7 +229,7 @@ def test_any_mutation_of_a_good_file_is_read_as_far_as_it_is_whole_and_told(tmp_
         try:
             found = [(message.topic, message.data) for message in segment.messages()]
         except RecordingError:
-            intact = mutant[:8] == MAGIC
+            intact = mutant[:8] == MCAP_MAGIC
             assert not intact, number
             continue
         ahead = iter(whole)

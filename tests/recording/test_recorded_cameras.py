@@ -29,7 +29,7 @@ from swarmtrack.recording.reader import Recording
 from swarmtrack.recording.settings import attachments, read_settings
 from swarmtrack.replay.flight_labels import Body, FlightLabels
 from swarmtrack.replay.replayer import Replayer
-from swarmtrack.replay.tiled_video import WIDEST, Tiles
+from swarmtrack.replay.tiled_video import WIDEST_TILED_PX, Tiles
 
 
 def test_a_flight_with_two_cameras_is_replayed_bit_for_bit(tmp_path):
@@ -179,7 +179,7 @@ def test_eight_pictures_fit_into_one_and_each_has_its_place():
     for k in range(8):
         tiles.put(k, np.full((480, 640, 3), 20 * (k + 1), np.uint8))
     height, width, _ = tiles.picture.shape
-    assert width <= WIDEST + 8
+    assert width <= WIDEST_TILED_PX + 8
     assert height % 2 == width % 2 == 0
     at = [
         (tiles.picture[height // 4 + row * height // 2, width // 8 + k * width // 4, 0])

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from swarmtrack.geometry import rotation
 from swarmtrack.relative.log_range import (
-    STATES,
+    STATE_SIZE,
     Beliefs,
     Drift,
     OwnWay,
@@ -29,10 +29,10 @@ def some(rng, n):
     """Beliefs of n teammates, with covariances that mix everything."""
     d = rng.normal(size=(n, 3))
     d /= np.linalg.norm(d, axis=1, keepdims=True)
-    L = 0.05 * rng.normal(size=(n, STATES, STATES))
+    L = 0.05 * rng.normal(size=(n, STATE_SIZE, STATE_SIZE))
     return Beliefs(
         d, across(d), rng.uniform(0.0, 4.0, n), 0.3 * rng.normal(size=(n, 3)), rng.normal(size=(n, 2)),
-        rng.normal(size=(n, 3)), rng.normal(size=n), L @ L.swapaxes(1, 2) + 1e-4 * np.eye(STATES),
+        rng.normal(size=(n, 3)), rng.normal(size=n), L @ L.swapaxes(1, 2) + 1e-4 * np.eye(STATE_SIZE),
     )  # fmt: skip
 
 
@@ -87,12 +87,12 @@ def test_an_own_way_that_is_mostly_noise_tells_nothing_of_the_range():
 @settings(max_examples=30, deadline=None)
 def test_an_update_adds_the_information_of_its_measurement(seed):
     rng = np.random.default_rng(seed)
-    prior, H, nu = some(rng, 4), rng.normal(size=(4, 3, STATES)), 0.01 * rng.normal(size=(4, 3))
+    prior, H, nu = some(rng, 4), rng.normal(size=(4, 3, STATE_SIZE)), 0.01 * rng.normal(size=(4, 3))
     R = np.tile(np.diag([0.01, 0.02, 0.03]), (4, 1, 1))
     found, A = corrected(prior, H, nu, R)
     information = np.linalg.inv(prior.P) + H.swapaxes(1, 2) @ np.linalg.solve(R, H)
     # In the axes across the new direction.
-    T = np.zeros((4, STATES, STATES)) + np.eye(STATES)
+    T = np.zeros((4, STATE_SIZE, STATE_SIZE)) + np.eye(STATE_SIZE)
     T[:, :2, :2] = found.E.swapaxes(1, 2) @ prior.E
     np.testing.assert_allclose(
         found.P, T @ np.linalg.inv(information) @ T.swapaxes(1, 2), rtol=1e-5, atol=1e-8
@@ -109,14 +109,14 @@ def test_what_was_measured_before_the_last_scan_is_worth_what_the_joint_gaussian
     rng = np.random.default_rng(3)
     then = some(rng, 1)
     _, now, F = step(then, np.zeros(3))
-    H, R, nu = rng.normal(size=(2, STATES)), np.diag([0.02, 0.01]), np.array([0.01, -0.02])
+    H, R, nu = rng.normal(size=(2, STATE_SIZE)), np.diag([0.02, 0.01]), np.array([0.01, -0.02])
     P_then, P_now = then.P[0], now.P[0]
     joint = np.block([[P_now, F[0] @ P_then], [P_then @ F[0].T, P_then]])
-    both = np.concatenate([np.zeros((2, STATES)), H], axis=1)
+    both = np.concatenate([np.zeros((2, STATE_SIZE)), H], axis=1)
     K = joint @ both.T @ np.linalg.inv(both @ joint @ both.T + R)
-    want, dx = (joint - K @ both @ joint)[:STATES, :STATES], (K @ nu)[:STATES]
+    want, dx = (joint - K @ both @ joint)[:STATE_SIZE, :STATE_SIZE], (K @ nu)[:STATE_SIZE]
     found = corrected_late(now, F[0] @ P_then @ H.T, nu, H @ P_then @ H.T + R)
-    T = np.eye(STATES)
+    T = np.eye(STATE_SIZE)
     T[:2, :2] = found.E[0].T @ now.E[0]
     np.testing.assert_allclose(found.P[0], T @ want @ T.T, rtol=1e-8, atol=1e-12)
     assert found.log_range[0] - now.log_range[0] == pytest.approx(dx[2])
@@ -127,7 +127,7 @@ def test_what_was_measured_before_the_last_scan_is_worth_what_the_joint_gaussian
 def test_no_range_leaves_0_3_to_300_m(guess):
     rng = np.random.default_rng(4)
     now = some(rng, 1)
-    H, R = np.zeros((1, 1, STATES)), np.full((1, 1, 1), 1e-8)
+    H, R = np.zeros((1, 1, STATE_SIZE)), np.full((1, 1, 1), 1e-8)
     H[0, 0, 2] = 1.0
     found, _ = corrected(now, H, np.array([[np.log(guess) - now.log_range[0]]]), R)
     assert 0.3 - 1e-9 <= np.exp(found.log_range[0]) <= 300.0 + 1e-9
@@ -152,6 +152,6 @@ def test_turning_the_team_s_axes_turns_what_is_believed_and_nothing_else(seed):
 
 
 def _with_speed_turned(P, R):
-    T = np.eye(STATES)
+    T = np.eye(STATE_SIZE)
     T[3:6, 3:6] = R
     return T @ P @ T.T

@@ -17,8 +17,8 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.follower import LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import Setpoint, Why
-from swarmtrack.guard import DEAD_S, STALE_S
-from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4, FlightMode
+from swarmtrack.guard import SETPOINT_DEAD_S, SETPOINT_STALE_S
+from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4_FIRMWARE, FlightMode
 from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.runtime.guard_process import GuardProcess
 
@@ -222,17 +222,17 @@ async def test_an_old_decision_is_zero_velocity_and_a_dead_one_hands_back_with_a
         decided = companion.door.asked[-1][0]
         companion.fly(3.0, decides=False)
         ages = [(t - decided, message) for t, message in companion.since(decided + 1e-6)]
-        fresh = [message.vx for age, message in ages if age < STALE_S - 0.02]
-        stale = [message.vx for age, message in ages if age > STALE_S + 0.05]
+        fresh = [message.vx for age, message in ages if age < SETPOINT_STALE_S - 0.02]
+        stale = [message.vx for age, message in ages if age > SETPOINT_STALE_S + 0.05]
         assert set(fresh) == {1.0}
         assert set(stale) == {0.0}
-        assert all(message.yaw_rate == 0.0 for age, message in ages if age > STALE_S + 0.05)
-        assert max(age for age, _ in ages) == pytest.approx(DEAD_S, abs=0.2)
+        assert all(message.yaw_rate == 0.0 for age, message in ages if age > SETPOINT_STALE_S + 0.05)
+        assert max(age for age, _ in ages) == pytest.approx(SETPOINT_DEAD_S, abs=0.2)
         companion.fly(0.1)
         assert companion.notices.said[-1].startswith("formation released: the agent stood still for 3")
         # And for good: that decisions come again does not engage it.
         companion.fly(1.0)
-        assert companion.since(decided + DEAD_S + 0.2) == []
+        assert companion.since(decided + SETPOINT_DEAD_S + 0.2) == []
         assert dict(companion.pilot.status().counters)["stale"] >= 4.0
 
 
@@ -440,4 +440,4 @@ async def test_over_real_udp_it_flies_and_stops_within_a_tenth_of_a_second_of_th
 
 def test_the_modes_that_engage_are_those_of_the_firmwares():
     assert ARDUCOPTER.modes[FlightMode.GUIDED].custom == 4
-    assert PX4.modes[FlightMode.GUIDED].custom == 6 << 16
+    assert PX4_FIRMWARE.modes[FlightMode.GUIDED].custom == 6 << 16

@@ -20,11 +20,11 @@ from swarmtrack.follower import LocalSetpoint
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.geometry.geodesy import Geodetic
-from swarmtrack.lab.autopilots.firmware import PX4, FlightMode
+from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE, FlightMode
 from swarmtrack.lab.autopilots.pilot import GuidedPilot
 from swarmtrack.lab.autopilots.senses import LastingErrors
 from swarmtrack.lab.world.guided import GuidedDrone
-from swarmtrack.lab.world.response import PX4 as RESPONSE
+from swarmtrack.lab.world.response import PX4_RESPONSE as RESPONSE
 from swarmtrack.lab.world.trajectory import wander
 from swarmtrack.runtime.formation_pilot import FormationPilot
 
@@ -60,7 +60,7 @@ class Sky:
         self.px4 = FakePx4()
         self.flight = Flight(self.px4)
         self.px4.pilot = self.pilot = GuidedPilot(
-            drone, PX4, epoch=self.now, origin=ORIGIN, located=lambda t: True,
+            drone, PX4_FIRMWARE, epoch=self.now, origin=ORIGIN, located=lambda t: True,
             errors=LastingErrors(lambda t: 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
         )  # fmt: skip
         self.px4.position = np.array(START)
@@ -132,7 +132,7 @@ class Sky:
 
     @property
     def flown(self):
-        return self.pilot.mode == PX4.modes[FlightMode.GUIDED]
+        return self.pilot.mode == PX4_FIRMWARE.modes[FlightMode.GUIDED]
 
 
 async def engaged_sky():
@@ -201,8 +201,8 @@ async def test_the_simulated_px4_would_go_back_if_anybody_streamed():
     sky = await engaged_sky()
     await sky.kill()
     sky.fly(3.0)
-    assert sky.pilot.mode == PX4.modes[FlightMode.POSITION]
-    assert sky.pilot.intended == PX4.modes[FlightMode.GUIDED]
+    assert sky.pilot.mode == PX4_FIRMWARE.modes[FlightMode.POSITION]
+    assert sky.pilot.intended == PX4_FIRMWARE.modes[FlightMode.GUIDED]
     guard = InlineGuard(PLACE.limits, sky.flight)
     guard.start()
     guard._reachable = True

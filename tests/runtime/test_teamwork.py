@@ -28,8 +28,8 @@ from swarmtrack.messages import (
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
-from swarmtrack.runtime.health import EVENTS_KEPT
-from swarmtrack.runtime.teamwork import LINES, Teamwork
+from swarmtrack.runtime.health import HEALTH_EVENTS_KEPT
+from swarmtrack.runtime.teamwork import LOG_LINES_PER_PERIOD, Teamwork
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
 
 CONFIG = """
@@ -97,10 +97,12 @@ def test_whoever_is_no_member_any_more_is_said_to_be(parts):
 def test_a_teammate_that_floods_fills_no_log_and_what_the_others_do_is_still_told(parts, flood, caplog):
     caplog.set_level(logging.INFO, "swarmtrack.runtime.teamwork")
     health = listen(parts, [*flood, PeerArrived(3, "0000000b")])
-    assert LINES < len(caplog.messages) <= 2 * LINES + 1  # as if ten seconds began anew meanwhile
-    assert health.drops["events_untold"] >= len(flood) - 2 * LINES
+    assert (
+        LOG_LINES_PER_PERIOD < len(caplog.messages) <= 2 * LOG_LINES_PER_PERIOD + 1
+    )  # as if ten seconds began anew meanwhile
+    assert health.drops["events_untold"] >= len(flood) - 2 * LOG_LINES_PER_PERIOD
     assert health.events[-1] == "drone 3 is alive (boot 0000000b)"
-    assert len(health.events) == EVENTS_KEPT
+    assert len(health.events) == HEALTH_EVENTS_KEPT
 
 
 @pytest.mark.parametrize(

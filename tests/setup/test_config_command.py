@@ -17,7 +17,7 @@ from support.places import ROOT
 from swarmtrack.agents.main import main
 from swarmtrack.config.drone import load_config
 from swarmtrack.setup.answers import WIRINGS
-from swarmtrack.setup.example import SHOWN, example
+from swarmtrack.setup.example import SHOWN_VALUES, example
 from swarmtrack.setup.reference import json_schema, reference, referred, tables
 
 CONFIGS = ROOT / "configs"
@@ -115,7 +115,11 @@ def test_each_line_of_the_example_is_one_that_a_config_may_have(tmp_path):
             continue
         after = load_config(file).model_dump()
         # Those of a tracker and of identity are kept as they are written, and read with the same defaults.
-        if section not in ("tracker", "identity") and f"{section}.{key}" not in SHOWN and after != before:
+        if (
+            section not in ("tracker", "identity")
+            and f"{section}.{key}" not in SHOWN_VALUES
+            and after != before
+        ):
             no_default.append((section, line))
     assert not no_default
 

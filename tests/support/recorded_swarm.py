@@ -14,7 +14,7 @@ from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
-from swarmtrack.wire.fields import VERSION
+from swarmtrack.wire.fields import WIRE_VERSION
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.sightings import sightings_message
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage
@@ -78,10 +78,12 @@ def _sightings(observer: int, t: float, k: int) -> bytes:
 def _tracks(t: float, k: int) -> bytes:
     cov = (4.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0, 4.0, 0.0, 9.0)
     one = TrackMessage(1, 2, 0.99, 100.0 + 5.0 * t, 5.0, 200.0, 0.0, cov, 30.0, 20.0, "confirmed", 0.99, None)
-    return codec.encode(TracksMessage(VERSION, UTC + t, 0.05, k, 0.0, (one,)))
+    return codec.encode(TracksMessage(WIRE_VERSION, UTC + t, 0.05, k, 0.0, (one,)))
 
 
 def _view(t: float, k: int) -> bytes:
     _, jpeg = cv2.imencode(".jpg", np.full((120, 160, 3), k % 256, np.uint8))
     lens = lens_message(CAMERA)
-    return codec.encode(VideoMessage(VERSION, UTC + t, 0.05, k, 160, 120, jpeg.tobytes(), lens, None, None))
+    return codec.encode(
+        VideoMessage(WIRE_VERSION, UTC + t, 0.05, k, 160, 120, jpeg.tobytes(), lens, None, None)
+    )

@@ -28,7 +28,7 @@ from support.places import ROOT
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import NetworkSection
 from swarmtrack.lab.scenarios.files import load_scenario
-from swarmtrack.lab.score.swarm_score import MIN_HIT_RADIUS
+from swarmtrack.lab.score.swarm_score import MIN_SWARM_HIT_RADIUS_PX
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 from swarmtrack.lab.swarm.configs import Sources, write_configs
 from swarmtrack.lab.swarm.radio import RadioEmulator
@@ -383,7 +383,7 @@ def _whose(track: TrackMessage, boxes: Mapping[int, Array]) -> int:
 
     named = track.identity
     if isinstance(named, int) and named in boxes:
-        at_its_box = off(named) <= max(MIN_HIT_RADIUS, 0.5 * float(max(boxes[named][2:])))
+        at_its_box = off(named) <= max(MIN_SWARM_HIT_RADIUS_PX, 0.5 * float(max(boxes[named][2:])))
         return named if at_its_box else min(boxes, key=off)
     return min(boxes, key=off)
 

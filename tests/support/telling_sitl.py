@@ -13,7 +13,7 @@ from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
 from swarmtrack.lab.autopilots.senses import DroneSenses
 from swarmtrack.lab.autopilots.truth import DroneTruth
-from swarmtrack.lab.scenarios.scenario import ORIGIN, SteadyYaw, Trajectory
+from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN, SteadyYaw, Trajectory
 from swarmtrack.lab.world.trajectory import Lissajous
 from swarmtrack.lab.world.world import World
 
@@ -56,7 +56,9 @@ class TellingSitl:
                 await asyncio.sleep(TICK)
 
 
-def autopilot(system: int = 1, origin: Geodetic = ORIGIN, *, truth: bool = True) -> SimulatedArduPilot:
+def autopilot(
+    system: int = 1, origin: Geodetic = SCENARIO_ORIGIN, *, truth: bool = True
+) -> SimulatedArduPilot:
     """Switched on now. origin: where its world lies on the Earth."""
     now = SystemClock().now()
     return SimulatedArduPilot(

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.tracking import hypotheses
-from swarmtrack.tracking.hypotheses import NONE, best_matchings
+from swarmtrack.tracking.hypotheses import UNDETECTED, best_matchings
 
 NEVER = -np.inf
 EVERYTHING = 1e-300  # least: leaves nothing out that has any weight
@@ -19,7 +19,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 def ways(k, m):
     """(w, k): each of k tracks made one of m detections or none, no two the same."""
-    options = itertools.product(range(NONE, m), repeat=k)
+    options = itertools.product(range(UNDETECTED, m), repeat=k)
     allowed = [way for way in options if len(made := [j for j in way if j >= 0]) == len(set(made))]
     return np.array(allowed, np.intp).reshape(-1, k)
 
@@ -163,7 +163,7 @@ def test_what_nobody_made_changes_nothing():
     found = best_matchings(np.array([-3.0, -1.0, -20.0]), np.empty((3, 2, 0)), 10, 1e-4)
     assert found.prior.tolist() == [1, 0]
     assert found.log_weight.tolist() == [-1.0, -3.0]
-    assert (found.column == NONE).all()
+    assert (found.column == UNDETECTED).all()
     assert found.complete
 
 
@@ -172,7 +172,7 @@ def test_an_earlier_hypothesis_that_explains_the_scan_overtakes_the_likelier_one
     gain[1] = 5.0
     found = best_matchings(np.array([0.0, -2.0]), gain, 10, 1e-4)
     assert found.prior.tolist() == [1, 0, 1]
-    assert found.column.ravel().tolist() == [0, NONE, NONE]
+    assert found.column.ravel().tolist() == [0, UNDETECTED, UNDETECTED]
     assert found.log_weight == pytest.approx([3.0, 0.0, -2.0])
 
 
@@ -227,4 +227,4 @@ def test_where_all_gains_are_equal_it_ends_and_as_many_as_can_have_one(k, m, val
 def test_one_forbidden_track_does_not_forbid_the_others():
     gain = np.array([[[NEVER, NEVER], [3.0, NEVER]]])
     found = best_matchings(np.zeros(1), gain, 10, EVERYTHING)
-    assert found.column.tolist() == [[NONE, 0], [NONE, NONE]]
+    assert found.column.tolist() == [[UNDETECTED, 0], [UNDETECTED, UNDETECTED]]

@@ -10,7 +10,14 @@ from support.labelled_pictures import data_directory
 from swarmtrack.agents.main import main
 from swarmtrack.detection.detector import Detector
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.training.candidates import DRONE, KEPT, KEPT_AROUND, OTHER, Candidate, CandidateSource
+from swarmtrack.training.candidates import (
+    DRONE_CLASS,
+    KEPT_AROUND,
+    KEPT_SIDE_PX,
+    OTHER,
+    Candidate,
+    CandidateSource,
+)
 from swarmtrack.training.dataset import Recipe, SampleSource
 from swarmtrack.training.labelled_images import LabelledFrame, load_frames
 from swarmtrack.training.simulated_pictures import simulated_pictures
@@ -32,12 +39,12 @@ def source(seed=0):
 
 def test_candidates_are_named_by_the_labels_and_shown_in_the_middle(data):
     found = list(source().of_whole_frames(load_frames(data)))
-    drones = [candidate for candidate in found if candidate.kind == DRONE]
+    drones = [candidate for candidate in found if candidate.kind == DRONE_CLASS]
     assert len(drones) >= 3
-    assert all(candidate.picture.shape == (KEPT, KEPT, 3) for candidate in found)
+    assert all(candidate.picture.shape == (KEPT_SIDE_PX, KEPT_SIDE_PX, 3) for candidate in found)
     for candidate in drones:
         grey = candidate.picture.astype(float).mean(axis=2)
-        middle = grey[KEPT // 3 : -KEPT // 3, KEPT // 3 : -KEPT // 3]
+        middle = grey[KEPT_SIDE_PX // 3 : -KEPT_SIDE_PX // 3, KEPT_SIDE_PX // 3 : -KEPT_SIDE_PX // 3]
         assert middle.std() > 5.0
 
 
@@ -53,20 +60,20 @@ def test_what_the_detector_overlooks_is_a_candidate_too():
         )
         for candidate in source().of_whole_frames([frame])
     ]
-    assert [candidate[1:4] for candidate in found] == [(DRONE, "clip", 0.0), ("bird", "gulls", 0.0)]
+    assert [candidate[1:4] for candidate in found] == [(DRONE_CLASS, "clip", 0.0), ("bird", "gulls", 0.0)]
     assert all(np.isnan(candidate.span) for candidate in found)
 
 
 def test_spans_are_those_of_the_simulated_world_or_of_what_is_visible_in_front_of_the_sky():
-    simulated = [each for each in source().of_frames(simulated_pictures(6, 0)) if each.kind == DRONE]
+    simulated = [each for each in source().of_frames(simulated_pictures(6, 0)) if each.kind == DRONE_CLASS]
     assert len(simulated) >= 3
     for drone in simulated:
         # Boxes are 1.2 to 2 spans wide, or less where the drone banks; a picture shows 2.4 of them.
-        assert KEPT / KEPT_AROUND / 3.0 < drone.span < KEPT / KEPT_AROUND * 1.5
+        assert KEPT_SIDE_PX / KEPT_AROUND / 3.0 < drone.span < KEPT_SIDE_PX / KEPT_AROUND * 1.5
     sky = np.full((200, 240, 3), 200, np.uint8)
     sky[80:90, 100:157] = 40
     frame = LabelledFrame("a", "clip", "scene", sky, np.array([[128.0, 84.5, 80.0, 40.0]]), np.empty((0, 4)))
-    (drone,) = (each for each in source().of_whole_frames([frame]) if each.kind == DRONE)
+    (drone,) = (each for each in source().of_whole_frames([frame]) if each.kind == DRONE_CLASS)
     visible = (drone.picture[:, :, 0].min(axis=0) < 120).sum()
     assert drone.span == pytest.approx(visible / 1.14, rel=0.06)
 
@@ -77,7 +84,7 @@ def test_drawn_candidates_come_by_seed_and_are_of_both_kinds():
         return list(source(seed).of_drawn(samples.sample() for _ in range(12)))
 
     first, again = some(4), some(4)
-    assert {candidate.kind for candidate in first} == {DRONE, OTHER}
+    assert {candidate.kind for candidate in first} == {DRONE_CLASS, OTHER}
     assert all(np.array_equal(a.picture, b.picture) for a, b in zip(first, again, strict=True))
 
 
@@ -88,7 +95,7 @@ def test_the_fit_finds_the_weight_that_the_candidates_were_made_with():
     # Gaussians of one width: the log odds of being a drone are a sum of both, 2 · odds + 3 / 1.5² · log_odds + …
     empty = np.zeros((0, 0, 3), np.uint8)
     held_out = [
-        Candidate(empty, DRONE if is_drone else OTHER, "clip", float(expit(odd)))
+        Candidate(empty, DRONE_CLASS if is_drone else OTHER, "clip", float(expit(odd)))
         for is_drone, odd in zip(drone.tolist(), odds, strict=True)
     ]
     found = fit(held_out, log_odds)

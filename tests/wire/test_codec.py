@@ -55,7 +55,7 @@ from swarmtrack.wire.announcement import (
 from swarmtrack.wire.camera import CameraMessage, camera_message, mounting_from
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.codec import Message
-from swarmtrack.wire.fields import MAX_BYTES, MAX_JPEG, MAX_KNOWN, MAX_SIGHTINGS
+from swarmtrack.wire.fields import MAX_JPEG, MAX_KNOWN, MAX_MESSAGE_BYTES, MAX_SIGHTINGS
 from swarmtrack.wire.health import (
     ConsistencyHealth,
     GyroBiasHealth,
@@ -316,7 +316,7 @@ def test_as_many_tracks_as_are_allowed_fit_into_one_message() -> None:
         for i in range(300)
     )
     message = tracks_message(TrackList(5.0, 4.9, crowd), 0, UTC_OFFSET, 0.01)
-    assert len(codec.encode(message)) <= MAX_BYTES
+    assert len(codec.encode(message)) <= MAX_MESSAGE_BYTES
     assert min(t.probability for t in message.tracks) == pytest.approx(45 / 300)  # the least probable go
 
 
@@ -429,7 +429,7 @@ def test_the_largest_report_fits_into_one_message() -> None:
     crowd = tuple(Sighting(65535 - i, 0.9, direction, 0.1) for i in range(MAX_SIGHTINGS))
     known = tuple(range(60_000, 60_000 + MAX_KNOWN))
     full = dataclasses.replace(REPORT, known=known, sightings=crowd)
-    assert len(codec.encode(sightings_message(full, UTC_OFFSET, NOW))) <= MAX_BYTES
+    assert len(codec.encode(sightings_message(full, UTC_OFFSET, NOW))) <= MAX_MESSAGE_BYTES
     more = tuple(Sighting(1 + i, 0.9, direction, 0.1) for i in range(MAX_SIGHTINGS + 1))
     with pytest.raises(ValueError, match="sightings"):
         codec.encode(sightings_message(dataclasses.replace(REPORT, sightings=more), UTC_OFFSET, NOW))
@@ -583,7 +583,7 @@ def test_of_more_places_than_fit_into_one_message_the_nearest_go() -> None:
     message = tracks_message(
         TrackList(5.0, 4.9, tuple(identified(int(k)) for k in order)), 0, UTC_OFFSET, 0.01
     )
-    assert len(codec.encode(message)) <= MAX_BYTES
+    assert len(codec.encode(message)) <= MAX_MESSAGE_BYTES
     assert len(message.tracks) == 255
     distances = sorted(relative.position_m[0] for relative in message.relatives)
     assert distances == pytest.approx(np.arange(1, len(distances) + 1) + 0.1)
@@ -768,7 +768,7 @@ def altered(index: int, value: object, *path: int) -> bytes:
         (msgpack.packb(dict(enumerate(msgpack.unpackb(announced())))), "array"),
         (announced() + b"\x00", "trailing"),
         (b"\x9b\x01\x07\xa8\xff" + announced()[5:], "utf-8"),
-        (bytes(MAX_BYTES + 1), "more than 65536 bytes"),
+        (bytes(MAX_MESSAGE_BYTES + 1), "more than 65536 bytes"),
         (b"", "truncated"),
     ],
 )
@@ -881,7 +881,7 @@ def test_a_field_replaced_by_anything_is_refused_or_sound(message: bytes, index:
     fields = msgpack.unpackb(message)
     fields[index % len(fields)] = value
     data = msgpack.packb(fields, unicode_errors="surrogatepass")
-    assume(len(data) <= MAX_BYTES)
+    assume(len(data) <= MAX_MESSAGE_BYTES)
     assert_refused_or_sound(data)
 
 
@@ -892,7 +892,7 @@ def test_a_field_replaced_by_anything_is_refused_or_sound(message: bytes, index:
         b"\x96\x01\x01\x01\x01\x01\xdd\xff\xff\xff\xff",  # ... of tracks
         b"\x9d\x01\x01\xa8aaaaaaaa\x01\x01\x01\xdf\xff\xff\xff\xff",  # ... a map
         b"\xc6\xff\xff\xff\xff",
-        b"\x91" * MAX_BYTES,  # nesting as deep as it goes
+        b"\x91" * MAX_MESSAGE_BYTES,  # nesting as deep as it goes
         b"\x9b\x01" + b"\x91" * 60_000,
         b"\x81\x01" * 30_000,
     ],
@@ -961,4 +961,4 @@ def test_the_largest_picture_fits_into_a_message():
         jpeg=bytes(MAX_JPEG),
         lens=msgspec.structs.replace(VIDEO.lens, coefficients=(0.1,) * 8),
     )
-    assert len(codec.encode(largest)) <= MAX_BYTES
+    assert len(codec.encode(largest)) <= MAX_MESSAGE_BYTES

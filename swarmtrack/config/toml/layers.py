@@ -22,7 +22,9 @@ from swarmtrack.errors import ConfigError
 Key = tuple[str | int, ...]  # an int: which one of an array
 Table = dict[str, Any]
 
-MAX_BYTES = 256 * 1024  # a config is a page; a recording given by mistake is refused before it is parsed
+MAX_CONFIG_BYTES = (
+    256 * 1024
+)  # a config is a page; a recording given by mistake is refused before it is parsed
 MOST_FILES = 32  # that one config extends, one that is reached by several ways counted each time
 MOST_PARTS = 64  # of a dotted key: a parser takes time by their square
 # Beyond these a value's end is not looked for: only the line in an error message is lost.
@@ -108,9 +110,9 @@ def _read(
     text = ""
     try:
         with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-        if len(raw) > MAX_BYTES:
-            return wrong(1, f"larger than {MAX_BYTES // 1024} KiB, expected a config in TOML")
+            raw = file.read(MAX_CONFIG_BYTES + 1)
+        if len(raw) > MAX_CONFIG_BYTES:
+            return wrong(1, f"larger than {MAX_CONFIG_BYTES // 1024} KiB, expected a config in TOML")
         text = raw.decode().removeprefix("\ufeff")
         if long := _LONG_KEY.search(text):
             line = text[: long.start()].count("\n") + 1

@@ -27,8 +27,8 @@ Probability = Annotated[Number, Field(gt=0.0, lt=1.0)]
 Count = Annotated[int, Strict(), Field(gt=0)]
 Switch = Annotated[bool, Strict()]
 Vector = tuple[Number, Number, Number]
-FARTHEST_M = 1e7  # what a message can say
-Coordinate = Annotated[Number, Field(ge=-FARTHEST_M, le=FARTHEST_M)]
+FARTHEST_CONFIGURED_M = 1e7  # what a message can say
+Coordinate = Annotated[Number, Field(ge=-FARTHEST_CONFIGURED_M, le=FARTHEST_CONFIGURED_M)]
 Place = tuple[Coordinate, Coordinate, Coordinate]
 """m."""
 Text = Annotated[str, Field(min_length=1)]

@@ -35,7 +35,7 @@ LONGEST_INTERVAL_US = 60e6
 HEARTBEAT_EVERY = 1.0  # s
 RESTARTS_AFTER = 0.5  # s from the command to reboot
 CATCH_UP = 0.5  # s: what was not sent for longer (the process was stopped) is not sent at all
-RC_CHANNELS, RC_FIELDS = 16, 18  # of its receiver, and of the message
+RC_CHANNEL_COUNT, RC_FIELDS = 16, 18  # of its receiver, and of the message
 RC_MIDDLE_US, RC_LOW_US = 1500, 1000  # of the sticks, and of a switch that is off
 PORTS = 3  # the companion's, a ground station's, and one for who asks for the truth, as SITL has
 SET_POINTS = ("SET_POSITION_TARGET_LOCAL_NED", "SET_POSITION_TARGET_GLOBAL_INT")
@@ -94,7 +94,7 @@ class SimulatedVehicle:
             n for n in (self.offers if offered is None else offered) if truth is not None or n not in TRUE
         )
         self.mute, self.imu_gap = False, False
-        self.rc_us = 4 * [RC_MIDDLE_US] + (RC_CHANNELS - 4) * [RC_LOW_US]
+        self.rc_us = 4 * [RC_MIDDLE_US] + (RC_CHANNEL_COUNT - 4) * [RC_LOW_US]
         self.own = MavlinkAddress(system, component)
         self.channels = tuple(Channel(self.own) for _ in range(ports))
         self.parameters = VehicleParameters(self.firmware.parameters, bytewise=self.firmware.bytewise)

@@ -11,9 +11,7 @@ from typing import NamedTuple
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.lab.autopilots.vehicle_parameters import ARDUPILOT_PARAMETERS, PX4_PARAMETERS, ParameterValue
-from swarmtrack.lab.world.response import ARDUPILOT as ARDUPILOT_RESPONSE
-from swarmtrack.lab.world.response import PX4 as PX4_RESPONSE
-from swarmtrack.lab.world.response import Response
+from swarmtrack.lab.world.response import ARDUPILOT_RESPONSE, PX4_RESPONSE, Response
 
 
 class FlightMode(Enum):
@@ -103,7 +101,7 @@ ARDUCOPTER = Firmware(
     acknowledges_set_mode=True,
     no_channel=0,
 )
-PX4 = Firmware(
+PX4_FIRMWARE = Firmware(
     autopilot=common.MAV_AUTOPILOT_PX4,
     response=PX4_RESPONSE,
     modes={

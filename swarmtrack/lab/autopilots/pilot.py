@@ -24,14 +24,14 @@ from swarmtrack.lab.autopilots.set_points import (
     place_in_world,
 )
 from swarmtrack.lab.world.guided import GuidedDrone
-from swarmtrack.lab.world.response import STILL, Flown, SetPoint, Triple
+from swarmtrack.lab.world.response import NO_MOTION, Flown, SetPoint, Triple
 
 LAND_SPEED = 0.5  # m/s
 REACHED_M = 0.3  # below the height of a take-off
 LIFTS_M, LIFTS_M_S = 0.3, 0.1  # above the ground, or upwards: a set point that wants into the air
 ARMED_BEFORE_S = 2.0  # s on the ground with the motors on
 LOOKS_EVERY = 0.1  # s: how soon a pilot notices what happened by itself
-LASTING = math.inf  # as the time of a set point: it needs no other after it
+LASTING_SETPOINT_T = math.inf  # as the time of a set point: it needs no other after it
 CHANGE_MODE = common.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
 # s: set points that come for so long, none later than that after the other, end a failsafe of PX4.
 RETURNS_S = 0.5
@@ -145,7 +145,7 @@ class PilotEvent(Enum):
     TOUCHED = auto()
 
 
-TRANSITIONS: dict[tuple[Phase, PilotEvent], Phase] = {
+PHASE_TRANSITIONS: dict[tuple[Phase, PilotEvent], Phase] = {
     (Phase.ON_GROUND, PilotEvent.ARM): Phase.IDLING,
     (Phase.IDLING, PilotEvent.ARM): Phase.IDLING,
     (Phase.IDLING, PilotEvent.DISARM): Phase.ON_GROUND,
@@ -169,7 +169,7 @@ LANDED = {
     Phase.FLYING: common.MAV_LANDED_STATE_IN_AIR,
     Phase.LANDING: common.MAV_LANDED_STATE_LANDING,
 }
-IN_THE_AIR = (Phase.CLIMBING, Phase.FLYING, Phase.LANDING)
+AIRBORNE_PHASES = (Phase.CLIMBING, Phase.FLYING, Phase.LANDING)
 
 
 class GuidedPilot:
@@ -213,7 +213,7 @@ class GuidedPilot:
 
     @property
     def status(self) -> int:
-        if self.phase in IN_THE_AIR:
+        if self.phase in AIRBORNE_PHASES:
             return int(common.MAV_STATE_ACTIVE)
         return self._firmware.armed_state if self.armed else int(common.MAV_STATE_STANDBY)
 
@@ -241,7 +241,7 @@ class GuidedPilot:
         self._looked = now
         t = now - self._epoch
         down = self._believed(t).position[2]
-        if self.phase in IN_THE_AIR and not self._drone.airborne:
+        if self.phase in AIRBORNE_PHASES and not self._drone.airborne:
             self._fire(PilotEvent.TOUCHED)
             self._quiet_since = self._drone.touched_s
         if self.phase is Phase.CLIMBING and down <= self._climbs_to + REACHED_M:
@@ -356,7 +356,7 @@ class GuidedPilot:
         if self._mode is FlightMode.LAND:
             return self._refuse("Arm: mode not armable")
         if not self._fire(PilotEvent.ARM):
-            return self.phase in IN_THE_AIR  # it is armed already
+            return self.phase in AIRBORNE_PHASES  # it is armed already
         self._quiet_since = t
         self._say(common.MAV_SEVERITY_INFO, "Arming motors")
         if self._mode is FlightMode.TAKE_OFF:
@@ -375,7 +375,7 @@ class GuidedPilot:
             return self._land(t)
         if mode is FlightMode.TAKE_OFF:
             return self._take_off(math.nan, t)
-        if mode is FlightMode.BY_HAND and self.phase in IN_THE_AIR:
+        if mode is FlightMode.BY_HAND and self.phase in AIRBORNE_PHASES:
             return self._refuse("Mode change failed: nobody holds the sticks")
         if mode is not FlightMode.BY_HAND and not self._located(t + self._epoch):
             return self._refuse(f"Mode change to {self._firmware.modes[mode].name} failed: requires position")
@@ -389,11 +389,11 @@ class GuidedPilot:
         """Enter a mode with what it begins with: in the air, to stop."""
         self._mode = mode
         if self._fire(PilotEvent.STEER):
-            self._drone.tell(t, SetPoint(LASTING, velocity=STILL))
+            self._drone.tell(t, SetPoint(LASTING_SETPOINT_T, velocity=NO_MOTION))
 
     def _take_off(self, height: float, t: float) -> bool:
         firmware, ground = self._firmware, self._drone.start[2]
-        if self.phase in IN_THE_AIR or not self._located(t + self._epoch):
+        if self.phase in AIRBORNE_PHASES or not self._located(t + self._epoch):
             return False
         if firmware.takes_off_in is FlightMode.GUIDED and (
             self._mode is not FlightMode.GUIDED or self.phase is not Phase.IDLING
@@ -422,11 +422,11 @@ class GuidedPilot:
     def _land(self, t: float) -> bool:
         self._mode = self._intended = FlightMode.LAND
         if self._fire(PilotEvent.LAND):
-            self._drone.tell(t, SetPoint(LASTING, velocity=(0.0, 0.0, LAND_SPEED)))
+            self._drone.tell(t, SetPoint(LASTING_SETPOINT_T, velocity=(0.0, 0.0, LAND_SPEED)))
         return True
 
     def _turn(self, angle: float, *, relative: bool, t: float) -> bool:
-        if self._mode is not FlightMode.GUIDED or self.phase not in IN_THE_AIR:
+        if self._mode is not FlightMode.GUIDED or self.phase not in AIRBORNE_PHASES:
             return False
         self._drone.turn(t, self._believed(t).yaw + angle if relative else angle)
         return True
@@ -435,7 +435,7 @@ class GuidedPilot:
         """Go to a place on the Earth: ArduPilot in GUIDED, if the flags allow to change the mode; PX4 holds there."""
         guided = self._firmware.takes_off_in is FlightMode.GUIDED
         may = not guided or self._mode is FlightMode.GUIDED or int(command.param2) & CHANGE_MODE
-        if command.frame not in (*ABOVE_SEA, *ABOVE_HOME) or self.phase not in IN_THE_AIR or not may:
+        if command.frame not in (*ABOVE_SEA, *ABOVE_HOME) or self.phase not in AIRBORNE_PHASES or not may:
             return False
         home = self._drone.start if command.frame in ABOVE_HOME else None
         place = place_in_world(command.x, command.y, command.z, self._origin, home)
@@ -449,7 +449,7 @@ class GuidedPilot:
 
     def _fire(self, event: PilotEvent) -> bool:
         """Go on by the table; False: nothing of that kind can happen now."""
-        after = TRANSITIONS.get((self.phase, event))
+        after = PHASE_TRANSITIONS.get((self.phase, event))
         if after is None:
             return False
         self.phase = after

@@ -14,14 +14,14 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.lab.autopilots.autopilot import SimulatedVehicle
 from swarmtrack.lab.autopilots.channel import Channel
-from swarmtrack.lab.autopilots.firmware import PX4
+from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE
 from swarmtrack.lab.autopilots.reports import SENSED
 from swarmtrack.mavlink_dialect import CURRENT_MODE
 
 LOOKS_EVERY_US = 1000  # main loop of a fast link
 EARLY = 0.3  # of the main loop: as much too early is on time
-LATE = 1.5  # intervals: who is later begins anew, who is not keeps to the grid
-RATE = "IMU_INTEG_RATE"
+LATE_INTERVALS = 1.5  # intervals: who is later begins anew, who is not keeps to the grid
+PX4_RATE_PARAMETER = "IMU_INTEG_RATE"
 LOCKSTEP_HZ = 250  # IMU_INTEG_RATE in PX4's own simulators, and how often time moves there
 # Hz, of messages that come unasked, per port: the companion's, a ground station's, and that for the truth.
 DEFAULTS: tuple[dict[int, float], ...] = (
@@ -77,7 +77,7 @@ class NewestReports:
     def advance(self) -> None:
         passed = self._due - self._last
         self._newest = self._due // self._sample * self._sample
-        self._last = self._last + self._interval if passed < LATE * self._interval else self._due
+        self._last = self._last + self._interval if passed < LATE_INTERVALS * self._interval else self._due
         self._plan()
 
     def _plan(self) -> None:
@@ -91,7 +91,7 @@ class NewestReports:
 class SimulatedPx4(SimulatedVehicle):
     """A PX4 multicopter. lockstep: its time moves from sample to sample, as in its own simulators."""
 
-    firmware = PX4
+    firmware = PX4_FIRMWARE
     offers = (
         common.MAVLINK_MSG_ID_HIGHRES_IMU,
         *SENSED,
@@ -105,7 +105,7 @@ class SimulatedPx4(SimulatedVehicle):
         super().__init__(*arguments, **options)
         self._lockstep = lockstep
         if lockstep:
-            self.parameters.values[RATE] = LOCKSTEP_HZ
+            self.parameters.values[PX4_RATE_PARAMETER] = LOCKSTEP_HZ
         self._begin(0.0)
 
     def reboot(self, now: float) -> None:
@@ -129,6 +129,6 @@ class SimulatedPx4(SimulatedVehicle):
         return int(common.MAV_RESULT_ACCEPTED)
 
     def _stream(self, message_id: int, interval_us: float, stamp: float, channel: Channel) -> None:
-        sample = round(1e6 / self.parameters.values[RATE])
+        sample = round(1e6 / self.parameters.values[PX4_RATE_PARAMETER])
         look = sample if self._lockstep else LOOKS_EVERY_US
         channel.streams[message_id] = NewestReports(round(interval_us), sample, look, stamp)

@@ -9,15 +9,14 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.geometry.geodesy import Geodetic
+from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2, Geodetic
 from swarmtrack.geometry.rotation import from_quaternion, to_euler, to_quaternion
 from swarmtrack.lab.autopilots.senses import GpsFix, Inertial, SensedState
 from swarmtrack.lab.autopilots.truth import TrueState
-from swarmtrack.lab.world.trajectory import STANDARD_GRAVITY
 from swarmtrack.messages import Array
 
 UNKNOWN_HEADING = 65535
-NOT_MEASURED = 0.0
+NOT_MEASURED_FIELD = 0.0
 # cm: the nearest and the farthest that a range finder says that it measures.
 RANGE_FINDER_CM = (20, 5000)
 
@@ -101,8 +100,8 @@ def _sim_state(stamp: float, true: TrueState) -> Any:
         1e-7 * latitude,
         1e-7 * longitude,
         true.place.height,
-        NOT_MEASURED,
-        NOT_MEASURED,
+        NOT_MEASURED_FIELD,
+        NOT_MEASURED_FIELD,
         *true.velocity,
         latitude,
         longitude,
@@ -164,7 +163,7 @@ def _centimetres(velocity: Array) -> list[int]:
 
 def _thousandths(accel: Array, gyro: Array | None = None) -> list[int]:
     """Acceleration in mG and angular velocity in mrad/s, as 16 bits hold them."""
-    values = accel * (1e3 / STANDARD_GRAVITY)
+    values = accel * (1e3 / STANDARD_GRAVITY_M_S2)
     if gyro is not None:
         values = np.concatenate([values, gyro * 1e3])
     return [int(v) for v in np.clip(np.rint(np.nan_to_num(values)), -32768, 32767)]

@@ -15,7 +15,7 @@ from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array
 
 FINDS_ITSELF_S = 8.0  # s from a reboot to a position, as ArduCopter needs with GPS
-NOISE_BLOCK = 1024  # ms of noise drawn at once: a generator costs as much as a hundred of its numbers
+SENSE_NOISE_BLOCK = 1024  # ms of noise drawn at once: a generator costs as much as a hundred of its numbers
 
 
 class GpsFix(NamedTuple):
@@ -162,10 +162,10 @@ class DroneSenses:
 
     def _white(self, ms: int) -> Array:
         """White noise of unit variance, (4, 3), of that millisecond of world time."""
-        block, row = divmod(ms, NOISE_BLOCK)
+        block, row = divmod(ms, SENSE_NOISE_BLOCK)
         if block != self._block:
             rng = self._world.chance("autopilot", self._drone_id, block)
-            self._block, self._noise = block, rng.standard_normal((NOISE_BLOCK, 4, 3))
+            self._block, self._noise = block, rng.standard_normal((SENSE_NOISE_BLOCK, 4, 3))
         return np.asarray(self._noise[row])
 
 

@@ -48,7 +48,7 @@ from swarmtrack.lab.scenarios.scenario import (
     DRIFT_M,
     HOVER_S,
     LOCKSTEP_SKEW,
-    ORIGIN,
+    SCENARIO_ORIGIN,
     AutopilotKind,
     DroneId,
     Ghosts,
@@ -87,7 +87,7 @@ from swarmtrack.lab.world.trajectory import (
 )
 
 FOLDER = Path(str(resources.files("swarmtrack") / "configs" / "scenarios"))
-MAX_DRONES = 1000
+MAX_SCENARIO_DRONES = 1000
 MAX_CAMERAS = 8  # of a drone
 CLIMBS_S = 8.0  # s from a take-off to the height of a slot
 FASTEST_LEADER_M_S = 5.0
@@ -97,7 +97,7 @@ VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
 VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
 
 ShareRate = Annotated[Number, Field(ge=2.0, le=10.0)]
-DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_DRONES)]
+DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_SCENARIO_DRONES)]
 
 
 class ScenarioCameraSection(Section):
@@ -486,9 +486,10 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
                 ("drone",),
                 f"{wanted} drones wanted, expected {one_by_one}: it has no [formation] that makes others",
             )
-    elif not max(1, one_by_one) <= wanted <= MAX_DRONES:
+    elif not max(1, one_by_one) <= wanted <= MAX_SCENARIO_DRONES:
         wrong(
-            ("formation", "drones"), f"{wanted} drones wanted, expected {max(1, one_by_one)} to {MAX_DRONES}"
+            ("formation", "drones"),
+            f"{wanted} drones wanted, expected {max(1, one_by_one)} to {MAX_SCENARIO_DRONES}",
         )
     by_others = [drone.id for drone in file.drone if drone.guided]
     shape = file.formation
@@ -595,7 +596,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
 
     return Scenario(
         world=world,
-        origin=file.origin.place() if file.origin else ORIGIN,
+        origin=file.origin.place() if file.origin else SCENARIO_ORIGIN,
         name=name,
         about=file.about,
         seconds=file.seconds,

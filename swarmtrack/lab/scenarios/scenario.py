@@ -35,7 +35,7 @@ from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.lab.world.errands import Errand, Heights, fly_errands
 from swarmtrack.lab.world.followed import FollowedDrone
 from swarmtrack.lab.world.guided import GuidedDrone
-from swarmtrack.lab.world.response import ARDUPILOT, PX4, Response
+from swarmtrack.lab.world.response import ARDUPILOT_RESPONSE, PX4_RESPONSE, Response
 from swarmtrack.lab.world.sensors import DetectorParameters
 from swarmtrack.lab.world.star import Star, TeamSlots
 from swarmtrack.lab.world.trajectory import (
@@ -59,9 +59,9 @@ HOVER_S = 4.5  # s: an agent needs one to start, and one to see and name everyon
 DEPARTURE_S = 5.0  # s: from hover into the flight proper
 SKEWS = (1e-4, 2e-4)  # s/s
 LOCKSTEP_SKEW = -0.011  # s/s, as measured: a simulator that cannot quite follow
-BESIDE = 0.15  # rad: from a drone to a ghost behind it, one sigma
+GHOST_BEARING_SIGMA_RAD = 0.15  # rad: from a drone to a ghost behind it, one sigma
 DRIFT_M = 0.03  # m RMS an axis: how well a drone holds its position
-ORIGIN = Geodetic.from_degrees(47.397742, 8.545594, 488.0)  # where PX4's simulators fly
+SCENARIO_ORIGIN = Geodetic.from_degrees(47.397742, 8.545594, 488.0)  # where PX4's simulators fly
 CAMERA = PinholeCamera(fx=430.0, fy=430.0, cx=319.5, cy=239.5, width=640, height=480)
 BODY_FROM_CAMERA = Pose(BODY_FROM_FORWARD_CAMERA, np.array([0.1, 0.0, 0.0]))
 
@@ -76,7 +76,7 @@ class AutopilotKind(StrEnum):
     @property
     def response(self) -> Response:
         """How it flies what it is told."""
-        return ARDUPILOT if self is AutopilotKind.ARDUPILOT else PX4
+        return ARDUPILOT_RESPONSE if self is AutopilotKind.ARDUPILOT else PX4_RESPONSE
 
 
 class FaultKind(StrEnum):
@@ -200,7 +200,7 @@ class Ghosts(Section):
 
     def drawn(self, world: World) -> tuple[Ghost, ...]:
         """Ghosts in the directions in which drones look for each other: each behind one as another one sees it, give or
-        take `BESIDE`, with a probability of its own. All of them have scores from the range."""
+        take `GHOST_BEARING_SIGMA_RAD`, with a probability of its own. All of them have scores from the range."""
         ghosts = []
         drones = list(world.drones)
         for k in range(self.count if len(drones) > 1 else 0):
@@ -209,7 +209,7 @@ class Ghosts(Section):
                 world.flown(d).position(0.0) for d in chance.choice(drones, 2, replace=False).tolist()
             )
             north, east, _ = other - observer
-            bearing = math.atan2(east, north) + chance.normal(0.0, BESIDE)
+            bearing = math.atan2(east, north) + chance.normal(0.0, GHOST_BEARING_SIGMA_RAD)
             distance = chance.uniform(*self.distance_m)
             place = observer + distance * np.array([math.cos(bearing), math.sin(bearing), 0.0])
             place[2] = -chance.uniform(*self.height_m)
@@ -274,7 +274,7 @@ class Scenario:
     """
 
     world: World
-    origin: Geodetic = ORIGIN
+    origin: Geodetic = SCENARIO_ORIGIN
     name: str = "unnamed"
     about: str = ""
     seconds: float = 30.0

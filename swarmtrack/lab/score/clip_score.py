@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.tracking.association import most_likely_matching
 
-MIN_HIT_RADIUS = 6.0  # px
+MIN_CLIP_HIT_RADIUS_PX = 6.0  # px
 
 
 class TruthBoxes(NamedTuple):
@@ -103,7 +103,7 @@ def score_clip(
 
 
 def match_hits(
-    truth: TruthBoxes, tracks: TrackPoints, min_radius: float = MIN_HIT_RADIUS
+    truth: TruthBoxes, tracks: TrackPoints, min_radius: float = MIN_CLIP_HIT_RADIUS_PX
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """The hits of one frame: rows (k,) of truth, columns (k,) of tracks, distance (k,) px. min_radius: px."""
     distance = np.linalg.norm(truth.centre[:, None] - tracks.centre[None], axis=2)

@@ -2,7 +2,7 @@
 
 An error is how far a follower is from its slot beside where the leader truly is, in three dimensions. Errors count
 from when the leader flies off until it leaves everybody's view, or the end; *last* is the mean of the last LAST_S of
-that. A follower is lost that is more than LOST_M off then. Separations count from beginning to end.
+that. A follower is lost that is more than LOST_SLOT_M off then. Separations count from beginning to end.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ import numpy as np
 
 from swarmtrack.messages import Array
 
-LOST_M, LAST_S = 3.0, 3.0
+LOST_SLOT_M, LAST_S = 3.0, 3.0
 # m: nobody comes nearer to anybody.
-NEAR_M = 1.5
+NEAR_MISS_M = 1.5
 # s after the leader has gone, at which the followers' speeds are told.
 STOPS_AFTER_S = (1.0, 2.0, 3.0, 4.0)
 
@@ -98,7 +98,7 @@ def formation_score(
         error_p95_m=p95,
         end_p95_m=float(np.percentile(last, 95)) if last.size else math.nan,
         min_separation_m=min((flight.nearest for flight in flights), default=math.inf),
-        lost=int((last > LOST_M).sum()),
+        lost=int((last > LOST_SLOT_M).sum()),
         holds=holds,
         gone=gone,
     )

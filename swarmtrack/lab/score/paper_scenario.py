@@ -17,9 +17,9 @@ import numpy as np
 
 from swarmtrack.messages import Array
 
-STEP_S = 0.1205
-STEPS = 160
-WIDTH_PX, HEIGHT_PX = 400, 300
+PAPER_STEP_S = 0.1205
+PAPER_STEPS = 160
+PAPER_WIDTH_PX, PAPER_HEIGHT_PX = 400, 300
 
 # px: where the drones begin; v upward
 HERE = np.array([[249.138, 188.857], [131.903, 168.139], [180.0, 99.898]])
@@ -45,7 +45,7 @@ BACK = (
     Leg(62.434, 34.898, -2.412, 4.621),
     Leg(62.713, 19.196, 0.345, -3.407),
 )
-PERIOD = 100.0  # steps from the first way out to the second
+PAPER_PERIOD_STEPS = 100.0  # steps from the first way out to the second
 
 
 class PaperCondition(NamedTuple):
@@ -83,12 +83,12 @@ PUBLISHED_RMSE_PX = {  # the paper's text; all else it shows in figures only
 
 def times() -> Array:
     """(160,) s: of the steps, the first at 0."""
-    return np.asarray(STEP_S * np.arange(STEPS))
+    return np.asarray(PAPER_STEP_S * np.arange(PAPER_STEPS))
 
 
 def truth(t: Array) -> Array:
     """Where the drones are at t (k,) s: (k, 3, 2) px [u, v], v upward as the paper plots it."""
-    step = 1.0 + np.asarray(t, dtype=float) / STEP_S
+    step = 1.0 + np.asarray(t, dtype=float) / PAPER_STEP_S
     return np.stack([_way(step, drone) for drone in range(len(HERE))], axis=1)
 
 
@@ -102,7 +102,7 @@ def progress(s: Array, a: float = 0.0, b: float = 0.0) -> Array:
 def _way(step: Array, drone: int) -> Array:
     """(k, 2) px."""
     out, back = OUT[drone], BACK[drone]
-    again = out._replace(begin=out.begin + PERIOD)
+    again = out._replace(begin=out.begin + PAPER_PERIOD_STEPS)
     share = _gone(step, out) - _gone(step, back) + _gone(step, again)
     return np.asarray(HERE[drone] + share[:, None] * (THERE[drone] - HERE[drone]))
 

@@ -14,7 +14,7 @@ from swarmtrack.lab.score.intervals import Interval, fraction_interval
 from swarmtrack.messages import Array
 
 EDGES = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9995, 0.9999, 1.0)
-THRESHOLDS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
+RELIABILITY_THRESHOLDS = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.999)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,7 +73,7 @@ def reliability_of(stated: Stated) -> Reliability:
         overall,
         sum(gaps) / max(overall.statements, 1),
         filled,
-        [_between(stated, threshold, 1.0) for threshold in THRESHOLDS],
+        [_between(stated, threshold, 1.0) for threshold in RELIABILITY_THRESHOLDS],
     )
 
 

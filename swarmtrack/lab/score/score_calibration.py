@@ -12,7 +12,7 @@ from scipy.special import expit, logit
 from swarmtrack.lab.score.detector_score import Matches
 from swarmtrack.messages import Array
 
-SURELY = 1e-6
+LEAST_SCORE_PROBABILITY = 1e-6
 BINS = 10
 
 
@@ -23,7 +23,12 @@ class Platt(NamedTuple):
     offset: float
 
     def __call__(self, score: Array) -> Array:
-        return np.asarray(expit(self.slope * logit(np.clip(score, SURELY, 1 - SURELY)) + self.offset))
+        return np.asarray(
+            expit(
+                self.slope * logit(np.clip(score, LEAST_SCORE_PROBABILITY, 1 - LEAST_SCORE_PROBABILITY))
+                + self.offset
+            )
+        )
 
 
 def fit(matches: Matches) -> Platt:
@@ -35,7 +40,7 @@ def fit(matches: Matches) -> Platt:
     right, wrong = int(matches.hit.sum()), int((~matches.hit).sum())
     if min(right, wrong) < 10:
         return Platt(1.0, 0.0)
-    x = logit(np.clip(matches.score, SURELY, 1 - SURELY))
+    x = logit(np.clip(matches.score, LEAST_SCORE_PROBABILITY, 1 - LEAST_SCORE_PROBABILITY))
     target = np.where(matches.hit, (right + 1) / (right + 2), 1 / (wrong + 2))
 
     def surprise(p: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:

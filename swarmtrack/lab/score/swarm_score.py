@@ -44,8 +44,10 @@ from swarmtrack.lab.score.clip_score import match_distances
 from swarmtrack.messages import FOREIGN, Array, Identity, TrackList, TrackStatus
 
 GRACE = 1.0  # s that an observer has to recognise who came into view
-RATE_HZ = 10  # of glances
-MIN_HIT_RADIUS = 15.0  # px: a track further off than this, and than half the box, is of something else
+SCORE_HZ = 10  # of glances
+MIN_SWARM_HIT_RADIUS_PX = (
+    15.0  # px: a track further off than this, and than half the box, is of something else
+)
 
 
 class NamedTrack(NamedTuple):
@@ -82,7 +84,7 @@ def confirmed_tracks(tracks: TrackList) -> tuple[NamedTrack, ...]:
 class Glance:
     """One observer at one instant.
 
-    index: of the instant, equal for all observers (⌊t · RATE_HZ⌋); t: the exact world time of what it said [s]; boot:
+    index: of the instant, equal for all observers (⌊t · SCORE_HZ⌋); t: the exact world time of what it said [s]; boot:
     one life of its process. in_view, hidden: true boxes (4,) [u, v, w, h] undistorted px of the drones that it can see,
     and of those in front of it that it cannot. tracks: None where it said nothing. cameras: of an observer with
     several, the boxes in the pixels of each, of all that are ahead of it; empty: one camera, whose boxes are those two.
@@ -253,7 +255,7 @@ class SwarmScorer:
             agreement=_ratio(sum(len(set(names)) == 1 for names in compared), len(compared)),
             rmse_px={o: math.sqrt(np.mean(errors)) for o, errors in sorted(self._squared_errors.items())},
             recall=_ratio(matched, self._drones),
-            false_tracks_per_s=_ratio(len(self._false_tracks), self._glances / RATE_HZ),
+            false_tracks_per_s=_ratio(len(self._false_tracks), self._glances / SCORE_HZ),
             switches=self._switches,
         )
 
@@ -373,7 +375,11 @@ def _distance(glance: Glance, drone_id: int, track: NamedTrack) -> float:
 def _radius(glance: Glance, drone_id: int, track: NamedTrack) -> float:
     """Of a hit, px."""
     box = glance.box(drone_id, track.camera)
-    return MIN_HIT_RADIUS if box is None else max(MIN_HIT_RADIUS, 0.5 * float(max(box[2], box[3])))
+    return (
+        MIN_SWARM_HIT_RADIUS_PX
+        if box is None
+        else max(MIN_SWARM_HIT_RADIUS_PX, 0.5 * float(max(box[2], box[3])))
+    )
 
 
 def _seen(glance: Glance, tracks: Mapping[int, NamedTrack], pairs: Mapping[int, int]) -> list[JudgedTrack]:

@@ -17,7 +17,7 @@ from swarmtrack.messages import Array
 # Between two knots the others fly straight on: at 10 m/s² that is 3 mm off at most, of drones metres away.
 KNOTS_HZ = 20.0
 # s before and after, from whose difference a velocity is taken: no later than a judge has the truth.
-STEP_S = 0.5 / KNOTS_HZ
+TRUTH_STEP_S = 0.5 / KNOTS_HZ
 
 
 class CarriedCamera(Protocol):
@@ -90,10 +90,10 @@ class SwarmTruth:
         camera = self._world.pose(observer, t) @ self._cameras[0].body_from_camera
         before, after = (
             self._world.pose(drone_id, at).position - self._world.pose(observer, at).position
-            for at in (t - STEP_S, t + STEP_S)
+            for at in (t - TRUTH_STEP_S, t + TRUTH_STEP_S)
         )
         away = self._world.pose(drone_id, t).position - camera.position
-        return np.concatenate([away, (after - before) / (2.0 * STEP_S)])
+        return np.concatenate([away, (after - before) / (2.0 * TRUTH_STEP_S)])
 
     def _points(self, t: float) -> Array:
         """Outlines of all drones at t, (n, points, 3) m, world frame."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from swarmtrack.lab.score.formation_score import NEAR_M, FormationScore
+from swarmtrack.lab.score.formation_score import NEAR_MISS_M, FormationScore
 from swarmtrack.lab.score.relative_score import NO_PLACES, RelativeScore
 from swarmtrack.lab.score.swarm_score import SwarmScore
 
@@ -55,7 +55,7 @@ class Limits:
     """95 % of them,"""
     slot_end_p95_m: float = 1.5
     """and 95 % of the followers' mean errors at the end."""
-    separation_m: float = NEAR_M
+    separation_m: float = NEAR_MISS_M
     """At least, at any time."""
     lost: int = 0
     """At most, of followers."""

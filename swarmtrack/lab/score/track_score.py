@@ -19,7 +19,7 @@ from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.messages import Array
 
-FAR_PX = 20.0
+FAR_TRACK_PX = 20.0
 """A track further than this from a target is not on it. The paper's drones hover 60 px apart at the end."""
 
 
@@ -37,12 +37,12 @@ def score_named(truth: Array, estimate: Array) -> NamedScore:
 
     * RMSE: root of the mean over targets and scans of the squared 2-D error. A track that is gone is taken to stay
       where it was last: dropping a target must not be cheaper than following it badly.
-    * swapped: at the end the track is further than FAR_PX from its own target, and not from another.
-    * lost: at the end the track is gone, or further than FAR_PX from every target.
+    * swapped: at the end the track is further than FAR_TRACK_PX from its own target, and not from another.
+    * lost: at the end the track is gone, or further than FAR_TRACK_PX from every target.
     """
     squared = ((_held(estimate) - truth) ** 2).sum(axis=2)
     distance = np.linalg.norm(estimate[-1][:, None] - truth[-1][None], axis=2)
-    near = distance <= FAR_PX  # NaN is not near
+    near = distance <= FAR_TRACK_PX  # NaN is not near
     own = near.diagonal()
     return NamedScore(
         math.sqrt(float(squared.mean())), squared.mean(axis=1), ~own & near.any(axis=1), ~near.any(axis=1)
@@ -135,7 +135,7 @@ def score_found(t: Array, truth: Array, claims: Sequence[StatedTracks]) -> Found
 def _match(truth: Array, claim: StatedTracks, before: dict[int, int]) -> tuple[dict[int, int], list[float]]:
     """{target: track id} of one scan and their distances [px]: pairs of the scan before, then as many as possible."""
     distance = np.linalg.norm(truth[:, None] - claim.position[None], axis=2)
-    allowed = distance <= FAR_PX
+    allowed = distance <= FAR_TRACK_PX
     columns = {int(track): j for j, track in enumerate(claim.id)}
     chosen = {
         target: columns[track]
@@ -146,7 +146,7 @@ def _match(truth: Array, claim: StatedTracks, before: dict[int, int]) -> tuple[d
     rest[list(chosen)] = False
     rest[:, list(chosen.values())] = False
     # One pair outweighs any sum of distances, so that none is given up for a closer other one.
-    rows, picks = linear_sum_assignment(np.where(rest, distance, FAR_PX * (1 + len(truth))))
+    rows, picks = linear_sum_assignment(np.where(rest, distance, FAR_TRACK_PX * (1 + len(truth))))
     chosen |= {int(i): int(j) for i, j in zip(rows, picks, strict=True) if rest[i, j]}
     pairs = {target: int(claim.id[column]) for target, column in chosen.items()}
     return pairs, [float(distance[target, column]) for target, column in chosen.items()]

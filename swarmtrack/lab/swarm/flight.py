@@ -60,7 +60,7 @@ AGENT_NICENESS = 5
 DETECTORS_SHARE = 0.1  # of all cores: where all detectors take more, they look through fewer tiles
 SHOW_HZ = 4.0
 AGENT_PORT = 7447  # in namespaces each has all ports to itself
-LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
+AGENT_LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,7 +244,7 @@ class _SwarmFlight:
                     *self._following(tasks, ready),
                 ]
                 try:
-                    await self._until(self._seconds + LAST_WORDS_S)
+                    await self._until(self._seconds + AGENT_LAST_WORDS_S)
                 finally:
                     for task in background:
                         task.cancel()

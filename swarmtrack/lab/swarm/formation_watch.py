@@ -15,14 +15,14 @@ from swarmtrack.lab.score.formation_score import (
     nearest_pair,
     slot_errors,
 )
-from swarmtrack.lab.score.swarm_score import RATE_HZ
+from swarmtrack.lab.score.swarm_score import SCORE_HZ
 from swarmtrack.lab.world.followed import NotTold
 from swarmtrack.lab.world.star import TeamSlots
 from swarmtrack.messages import Array
 from swarmtrack.wire.health import HealthMessage
 
 # s that a stranger is in view of a follower before that has to keep clear of it.
-SEEN_S = 1.0
+WATCHED_SEEN_S = 1.0
 
 
 class FormationWatch:
@@ -44,7 +44,7 @@ class FormationWatch:
         for stranger in self._strangers & set(in_view):
             pair = observer, stranger
             self._glimpses[pair] = self._glimpses.get(pair, 0) + 1
-            if self._glimpses[pair] > SEEN_S * RATE_HZ:
+            if self._glimpses[pair] > WATCHED_SEEN_S * SCORE_HZ:
                 self._known_from.setdefault(pair, t)
 
     def score(
@@ -74,12 +74,12 @@ class FormationWatch:
         """Times (m,) [s] at which all were told, and by drone positions (m, 3)."""
         drones, times = list(self._world.drones), []
         rows = []
-        for k in range(int(seconds * RATE_HZ) + 1):
+        for k in range(int(seconds * SCORE_HZ) + 1):
             try:
-                rows.append([self._world.drones[drone_id].position(k / RATE_HZ) for drone_id in drones])
+                rows.append([self._world.drones[drone_id].position(k / SCORE_HZ) for drone_id in drones])
             except NotTold:
                 continue
-            times.append(k / RATE_HZ)
+            times.append(k / SCORE_HZ)
         positions = np.array(rows).reshape(len(rows), len(drones), 3)
         return np.array(times), {drone_id: positions[:, k] for k, drone_id in enumerate(drones)}
 

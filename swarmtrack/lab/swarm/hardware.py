@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.clock import Clock
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot, SimulatedVehicle
-from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4, FlightMode
+from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4_FIRMWARE, FlightMode
 from swarmtrack.lab.autopilots.pilot import GuidedPilot, OnItsPath, Pilot
 from swarmtrack.lab.autopilots.px4 import LOCKSTEP_HZ, SimulatedPx4
 from swarmtrack.lab.autopilots.senses import DroneSenses
@@ -33,19 +33,21 @@ from swarmtrack.lab.world.star import Star
 from swarmtrack.lab.world.world import frame_numbers
 from swarmtrack.messages import Image
 
-TICK = 0.002  # s: autopilots that have something to say within it are served together
+HARDWARE_TICK_S = 0.002  # s: autopilots that have something to say within it are served together
 # Cameras expose in so many groups: one after another for the processor, together for the world.
 SHUTTER_GROUPS = 3
 TRUTH_EVERY = 0.02  # s
 DETECTION_TIME = 0.03  # s from exposure to the oracle's detections, as a small computer's detector needs
-JPEG_QUALITY = 90
-SEND_BUFFER = 1 << 16  # bytes: two frames; the kernel's own megabytes would be a backlog of seconds
+SIMULATED_JPEG_QUALITY = 90
+STREAM_SEND_BUFFER_BYTES = (
+    1 << 16
+)  # bytes: two frames; the kernel's own megabytes would be a backlog of seconds
 BOUNDARY = "frame"
 # What each port of an autopilot is called among a drone's addresses, and how far above the cameras' port drone 0's is.
 AUTOPILOT_PORTS = {"autopilot": 0, "ground": 1000, "truth": 2000}
 # m, horizontal and vertical, as their receivers say it.
 ARDUPILOT_GPS, PX4_GPS = (0.8, 1.2), (0.9, 1.78)
-HOLDS_S = 1.0  # in LOITER, before a follower is engaged
+LOITER_BEFORE_ENGAGING_S = 1.0  # in LOITER, before a follower is engaged
 AUTOPILOT_FAULTS = (FaultKind.IMU_GAP, FaultKind.AUTOPILOT_REBOOT)
 
 
@@ -169,7 +171,7 @@ class CameraRenderer:
 
         cv2.setNumThreads(1)  # a frame a thread; its own pool costs more than it gains on images of this size
         self._encode = functools.partial(
-            cv2.imencode, ".jpg", params=[cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+            cv2.imencode, ".jpg", params=[cv2.IMWRITE_JPEG_QUALITY, SIMULATED_JPEG_QUALITY]
         )
         self._renderers = [
             Renderer(scenario.world, camera.lens, camera.body_from_camera, number=number)
@@ -286,7 +288,7 @@ async def keep_speaking(ports: list[AutopilotPort], clock: Clock) -> None:
         for port in ports:
             if port.due <= now:
                 port.speak(now)
-        await asyncio.sleep(max(min(port.due for port in ports) - now, TICK))
+        await asyncio.sleep(max(min(port.due for port in ports) - now, HARDWARE_TICK_S))
 
 
 async def let_fly(pilot: GuidedPilot, star: Star, drone_id: int, epoch: float, clock: Clock) -> None:
@@ -302,7 +304,7 @@ async def let_fly(pilot: GuidedPilot, star: Star, drone_id: int, epoch: float, c
         ):
             numbers = (first, *5 * (0.0,), height)
             pilot.command(common.MAVLink_command_long_message(0, 0, command, 0, *numbers), clock.now())
-        await asyncio.sleep(epoch + star.engages_s - HOLDS_S - clock.now())
+        await asyncio.sleep(epoch + star.engages_s - LOITER_BEFORE_ENGAGING_S - clock.now())
         pilot.switch_to(FlightMode.HOLD, clock.now())
     await asyncio.sleep(epoch + star.engages_s - clock.now())
     pilot.switch_to(FlightMode.GUIDED, clock.now())
@@ -335,7 +337,7 @@ def make_autopilot(scenario: Scenario, drone_id: int, epoch: float, now: float) 
     skew = scenario.autopilot_skew.get(drone_id, 0.0)
     switched_on = epoch - scenario.autopilot_boot_s.get(drone_id, 0.0) / (1.0 + skew)
     ardupilot = kind is AutopilotKind.ARDUPILOT
-    firmware = ARDUCOPTER if ardupilot else PX4
+    firmware = ARDUCOPTER if ardupilot else PX4_FIRMWARE
     senses = DroneSenses(
         scenario.world,
         drone_id,
@@ -375,7 +377,7 @@ def _imu(kind: AutopilotKind, rate_hz: float) -> ImuParameters:
             return ImuParameters(rate_hz=rate_hz, filter_hz=ARDUCOPTER.parameters["INS_GYRO_FILTER"])
         case AutopilotKind.PX4:
             return ImuParameters(
-                rate_hz=rate_hz, filter_hz=0.0, window_s=1.0 / PX4.parameters["IMU_INTEG_RATE"]
+                rate_hz=rate_hz, filter_hz=0.0, window_s=1.0 / PX4_FIRMWARE.parameters["IMU_INTEG_RATE"]
             )
         case AutopilotKind.PX4_LOCKSTEP:
             return ImuParameters(rate_hz=rate_hz, filter_hz=0.0, window_s=1.0 / LOCKSTEP_HZ)
@@ -504,7 +506,7 @@ async def serve_cameras(
             raise web.HTTPNotFound(text=f"no such camera, known: 0 to {len(cameras) // len(drones) - 1}\n")
         assert request.transport is not None
         request.transport.get_extra_info("socket").setsockopt(
-            socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER
+            socket.SOL_SOCKET, socket.SO_SNDBUF, STREAM_SEND_BUFFER_BYTES
         )
         request.transport.set_write_buffer_limits(high=0)
         response = web.StreamResponse(headers={"Content-Type": content_type, "Cache-Control": "no-store"})

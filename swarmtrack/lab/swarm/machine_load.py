@@ -22,7 +22,7 @@ from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.swarm.detail import Detail
 
 STAT = Path("/proc/stat")
-MEMORY = Path("/proc/meminfo")
+MEMORY_FILE = Path("/proc/meminfo")
 AGENT_MB = {"onnx": 85.0, "oracle": 55.0}
 """What each agent has for itself alone, as the kernel counts it (Private_Dirty)."""
 
@@ -150,12 +150,12 @@ class Capacity:
         return needed <= FILLED * (self.free + FAIR * self.others)
 
 
-LOOK_S = 1.0
+LOAD_PERIOD_S = 1.0
 
 
 def look_around(load: MachineLoad, began: float, clock: Clock) -> Capacity:
     """What the machine has to give, by what was used since `load` was made at `began` [s], for a second at least."""
-    time_left = began + LOOK_S - clock.now()
+    time_left = began + LOAD_PERIOD_S - clock.now()
     if time_left > 0.0:
         sleep(time_left)
     spent = load.spent()
@@ -198,7 +198,7 @@ def described(scenario: Scenario, detector: str, capacity: Capacity, detail: Det
     return f"{line} with {detail} detail ({rates}), {whole:.1f} with all of it (--detail full)"
 
 
-def too_large(drones: int, detector: str, memory: Path = MEMORY) -> str:
+def too_large(drones: int, detector: str, memory: Path = MEMORY_FILE) -> str:
     """Why a flight of so many agents does not fit into the memory that is free; empty: it does, or nobody knows."""
     try:
         lines = memory.read_text(encoding="ascii").splitlines()

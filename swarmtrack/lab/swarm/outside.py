@@ -36,9 +36,9 @@ from swarmtrack.lab.world.world import World
 
 log = logging.getLogger(__name__)
 
-PATIENCE_S = 20.0  # for every truth link to tell: SITL boots within a few seconds
-SETTLED_S = 2.5  # of listening: two autopilots on one link show by their heartbeats, one a second
-LOOK_S = 0.25
+OUTSIDE_PATIENCE_S = 20.0  # for every truth link to tell: SITL boots within a few seconds
+OUTSIDE_SETTLED_S = 2.5  # of listening: two autopilots on one link show by their heartbeats, one a second
+OUTSIDE_PERIOD_S = 0.25
 
 
 class NoTruth(SwarmtrackError):
@@ -93,22 +93,22 @@ class Outside:
     def begin(self, epoch: float) -> None:
         self._epoch = epoch
 
-    async def ready(self, patience_s: float = PATIENCE_S) -> None:
+    async def ready(self, patience_s: float = OUTSIDE_PATIENCE_S) -> None:
         """Until every link tells what can be used. Raises NoTruth, saying of each that does not why; where one never
-        will, the others still have `SETTLED_S` to tell."""
+        will, the others still have `OUTSIDE_SETTLED_S` to tell."""
         start, hopeless = self._clock.now(), math.inf
         while True:
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(OUTSIDE_PERIOD_S)
             troubles = self.troubles()
             now = self._clock.now()
-            if now - start < SETTLED_S:
+            if now - start < OUTSIDE_SETTLED_S:
                 continue
             if not troubles:
                 return
             fatal = [text for fault, text in troubles.values() if fault in FATAL]
             if fatal:
                 hopeless = min(hopeless, now)
-            all_tell = len(fatal) == len(troubles) or now - hopeless > SETTLED_S
+            all_tell = len(fatal) == len(troubles) or now - hopeless > OUTSIDE_SETTLED_S
             if (fatal and all_tell) or now - start > patience_s:
                 raise NoTruth("\n".join(fatal or [text for _, text in troubles.values()]))
 
@@ -121,7 +121,7 @@ class Outside:
         """In flight: say once what goes wrong with whom, and when it is well again."""
         known: dict[int, tuple[TruthFault, float]] = {}
         while True:
-            await asyncio.sleep(LOOK_S)
+            await asyncio.sleep(OUTSIDE_PERIOD_S)
             now, troubles = self._clock.now(), self.troubles()
             for drone_id, (fault, text) in troubles.items():
                 if drone_id not in known or known[drone_id][0] is not fault:

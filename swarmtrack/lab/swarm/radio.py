@@ -37,10 +37,10 @@ from swarmtrack.lab.swarm.radio_switch import MTU, RadioChannel
 RADIO_NETWORK: Final = "198.18"  # the rest of an address is the drone's ID
 WIRE_NETWORK: Final = "198.19"  # the third byte is the emulator's own, as several may be open on one machine
 WIRE_HOST: Final = 254
-MAX_DRONES: Final = WIRE_HOST - 1
-MAX_DRONE_ID: Final = 0xFFFE  # 198.18.255.255 is everybody
+MAX_RADIO_DRONES: Final = WIRE_HOST - 1
+MAX_RADIO_DRONE_ID: Final = 0xFFFE  # 198.18.255.255 is everybody
 PROGRAMS: Final = ("ip", "nsenter", "setpriv")
-CLOSE_S: Final = 2.0
+RADIO_CLOSE_S: Final = 2.0
 
 CLONE_NEWNET: Final = 0x40000000
 TUNSETIFF: Final = 0x400454CA
@@ -69,12 +69,14 @@ class RadioEmulator:
     """
 
     def __init__(self, drones: Sequence[int], *, seed: int) -> None:
-        if len(set(drones)) != len(drones) or not 0 < len(drones) <= MAX_DRONES:
+        if len(set(drones)) != len(drones) or not 0 < len(drones) <= MAX_RADIO_DRONES:
             raise RadioError(
-                f"radio: found the drones {list(drones)}, expected 1 to {MAX_DRONES} of different IDs"
+                f"radio: found the drones {list(drones)}, expected 1 to {MAX_RADIO_DRONES} of different IDs"
             )
-        if not all(1 <= drone <= MAX_DRONE_ID for drone in drones):
-            raise RadioError(f"radio: found the drones {list(drones)}, expected IDs of 1 to {MAX_DRONE_ID}")
+        if not all(1 <= drone <= MAX_RADIO_DRONE_ID for drone in drones):
+            raise RadioError(
+                f"radio: found the drones {list(drones)}, expected IDs of 1 to {MAX_RADIO_DRONE_ID}"
+            )
         self._ports: Mapping[int, int] = {drone: port for port, drone in enumerate(drones)}
         self._seed = seed
         self._memory = FileIO(os.memfd_create("swarmtrack-radio"), "r+")
@@ -256,7 +258,7 @@ class RadioEmulator:
             assert self._switch.stdin is not None
             self._switch.stdin.close()
             try:
-                async with asyncio.timeout(CLOSE_S):
+                async with asyncio.timeout(RADIO_CLOSE_S):
                     await self._switch.wait()
             except TimeoutError:
                 self._switch.kill()

@@ -33,10 +33,10 @@ from swarmtrack.clock import SystemClock
 
 MTU: Final = 1500  # bytes
 MAX_FRAME: Final = MTU + 64  # bytes, with the Ethernet header and whatever tags
-BATCH: Final = 32  # frames of one radio before the others get their turn
-MAX_WAITING: Final = 8192  # delayed frames: 12 MB, a second of 100 Mbit/s; the channel holds no more
+RADIO_FRAMES_PER_TURN: Final = 32  # frames of one radio before the others get their turn
+MAX_WAITING_FRAMES: Final = 8192  # delayed frames: 12 MB, a second of 100 Mbit/s; the channel holds no more
 BUFFER: Final = 16384  # bytes that wait in a narrow radio: two seconds at 64 kbit/s
-NUMBER: Final = 8  # bytes of a double, exact for counts up to 2^53
+COUNT_BYTES: Final = 8  # bytes of a double, exact for counts up to 2^53
 
 
 class RadioChannel:
@@ -60,7 +60,7 @@ class RadioChannel:
     @staticmethod
     def size(ports: int) -> int:
         """Bytes."""
-        return NUMBER * (4 * ports * ports + 5 * ports)
+        return COUNT_BYTES * (4 * ports * ports + 5 * ports)
 
 
 class Delivery(NamedTuple):
@@ -135,7 +135,7 @@ class Switch:
         return False
 
     def _delay(self, pair: int, delivery: Delivery, source: int) -> None:
-        if len(self._waiting) >= MAX_WAITING:
+        if len(self._waiting) >= MAX_WAITING_FRAMES:
             self._channel.lost_frames[source] += 1
             return
         self._last_due[pair] = delivery.due
@@ -177,7 +177,7 @@ def _read(tap: int) -> list[bytes]:
     """At most BATCH frames that the radio wants to send."""
     frames: list[bytes] = []
     try:
-        while len(frames) < BATCH:
+        while len(frames) < RADIO_FRAMES_PER_TURN:
             frames.append(os.read(tap, MAX_FRAME))
     except BlockingIOError:
         pass

@@ -16,7 +16,7 @@ import signal
 import sys
 import time
 
-ATTEMPTS = 50
+REAPER_ATTEMPTS = 50
 
 
 def main() -> None:
@@ -34,7 +34,7 @@ def main() -> None:
             os.killpg(pid, signal.SIGKILL)
     for folder in sys.argv[1:]:
         # Those killed a moment ago may still write: again, until it is gone.
-        for _ in range(ATTEMPTS):
+        for _ in range(REAPER_ATTEMPTS):
             shutil.rmtree(folder, ignore_errors=True)
             if not os.path.exists(folder):
                 break

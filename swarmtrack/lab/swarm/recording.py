@@ -22,8 +22,8 @@ from swarmtrack.transport.base import Sample
 if TYPE_CHECKING:
     from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 
-TRUTH_HZ = 10.0
-EVENTS = "events.json"
+RECORDED_TRUTH_HZ = 10.0
+EVENTS_FILE = "events.json"
 
 
 @dataclass(slots=True, eq=False)
@@ -68,7 +68,7 @@ class FlightRecording:
             metadata={"scenario": self.scenario.name},
             attachments=[Attachment(FLIGHT_PLAN, "application/json", json.dumps(plan, default=str).encode())],
         )
-        write_events(self.folder / EVENTS, self.scenario, self.epoch)
+        write_events(self.folder / EVENTS_FILE, self.scenario, self.epoch)
 
     async def heard(self, samples: AsyncIterator[Sample]) -> AsyncIterator[Sample]:
         """The same samples, each recorded before it is looked at."""
@@ -105,7 +105,7 @@ class FlightRecording:
             self._recorder.close()
 
     def _planned(self, drone: Drawn) -> Iterator[ToldPose]:
-        times = (k / TRUTH_HZ for k in range(int(self.seconds * TRUTH_HZ) + 1))
+        times = (k / RECORDED_TRUTH_HZ for k in range(int(self.seconds * RECORDED_TRUTH_HZ) + 1))
         return (ToldPose(t, drone.pose(t)) for t in times)
 
 

@@ -18,8 +18,8 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.lab.world.followed import FollowedDrone, ToldPose
 
 # lines that wait for a follower: tens of seconds of truth about a few drones
-BACKLOG = 4096
-RETRY_S = 0.5
+TRUTH_SAMPLES_KEPT = 4096
+TRUTH_FEED_RETRY_S = 0.5
 
 
 def told(drone_id: int, sample: ToldPose) -> dict[str, Any]:
@@ -46,7 +46,7 @@ class Followers:
     def put(self, record: dict[str, Any]) -> None:
         line = json.dumps(record).encode() + b"\n"
         for queue in list(self._queues):
-            if queue.qsize() >= BACKLOG:
+            if queue.qsize() >= TRUTH_SAMPLES_KEPT:
                 self._queues.discard(queue)
                 queue.put_nowait(None)
             else:
@@ -85,7 +85,7 @@ async def follow_truth(url: str, drones: Mapping[int, FollowedDrone], on_said: C
         except ClientError as error:
             reason = str(error) or type(error).__name__
         # Where the simulator has died, the flight ends meanwhile, and says that instead.
-        await asyncio.sleep(RETRY_S)
+        await asyncio.sleep(TRUTH_FEED_RETRY_S)
         if not lost:
             lost = True
             on_said(

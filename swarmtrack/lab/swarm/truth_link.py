@@ -25,16 +25,16 @@ from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.lab.swarm.truth_messages import TRUTH_MESSAGES, TrueSample, TruthReader
 from swarmtrack.lab.world.followed import LONGEST_GAP
 
-TRUTH_HZ = 50.0
-SLOWEST_HZ = 1.0 / LONGEST_GAP
+ASKED_TRUTH_HZ = 50.0
+SLOWEST_TRUTH_HZ = 1.0 / LONGEST_GAP
 OUR_SYSTEM, OUR_COMPONENT = 254, 190  # a ground station's, but not 255, whose silence is a failsafe
 ASK_EVERY = 1.0  # s
-RETRY_S = 0.5
+TRUTH_LINK_RETRY_S = 0.5
 COUNTED_S = 1.0  # over which the rate is counted
-STALE_S = 0.5  # without truth: the simulator stands still, or is gone
-FARTHEST_M = 1000.0  # from the origin: farther away a drone is in another town, or the origin is
+TRUTH_STALE_S = 0.5  # without truth: the simulator stands still, or is gone
+FARTHEST_TRUTH_M = 1000.0  # from the origin: farther away a drone is in another town, or the origin is
 SILENT_TCP_S = 5.0  # a connection this silent is dead: try another
-AUTOPILOT = common.MAV_COMP_ID_AUTOPILOT1
+TRUTH_AUTOPILOT_COMPONENT = common.MAV_COMP_ID_AUTOPILOT1
 NO_AUTOPILOT = (common.MAV_TYPE_GCS, common.MAV_TYPE_GIMBAL, common.MAV_TYPE_ONBOARD_CONTROLLER)
 
 
@@ -94,14 +94,14 @@ class TruthLink:
                     await self._link.run(self)
                 except LinkDown as down:
                     self._down = str(down)
-                await asyncio.sleep(RETRY_S)
+                await asyncio.sleep(TRUTH_LINK_RETRY_S)
 
     async def _ask(self) -> None:
         """Say that we are there, and ask for what does not come: a simulator may start after us, and start again."""
         while True:
             if self._down is None:
                 self._send(heartbeat(common.MAV_TYPE_GCS))
-                if self.rate_hz < 0.8 * TRUTH_HZ:
+                if self.rate_hz < 0.8 * ASKED_TRUTH_HZ:
                     for system, kind in self._systems.items():
                         for message_id in TRUTH_MESSAGES.get(kind, ()):
                             self._send(_request(system, message_id))
@@ -132,7 +132,7 @@ class TruthLink:
         return ours
 
     def _on_frame(self, t: float, frame: MavlinkFrame) -> bool:
-        if frame.component != AUTOPILOT:
+        if frame.component != TRUTH_AUTOPILOT_COMPONENT:
             return False
         message = self._codec.decode(frame)
         if message is None:
@@ -188,16 +188,16 @@ class TruthLink:
             return TruthFault.STRANGER, self._sentence(
                 f"is of system {strangers[0]}, expected system_id {self.where.system_id}"
             )
-        if self.age_s > STALE_S:
+        if self.age_s > TRUTH_STALE_S:
             return TruthFault.SILENT, self._sentence(self._silence())
-        if self.rate_hz < SLOWEST_HZ:
+        if self.rate_hz < SLOWEST_TRUTH_HZ:
             return TruthFault.SILENT, self._sentence(
-                f"tells {self.rate_hz:.0f} times a second, expected {TRUTH_HZ:.0f}, {SLOWEST_HZ:.0f} at least: is the "
-                "simulator too slow, or another program asking for less?"
+                f"tells {self.rate_hz:.0f} times a second, expected {ASKED_TRUTH_HZ:.0f}, "
+                f"{SLOWEST_TRUTH_HZ:.0f} at least: is the simulator too slow, or another program asking for less?"
             )
         assert self._newest is not None
         away = float(np.linalg.norm(self._newest.pose.position))
-        if away > FARTHEST_M:
+        if away > FARTHEST_TRUTH_M:
             return TruthFault.FAR, self._sentence(self._far(away))
         return None
 
@@ -242,7 +242,7 @@ class TruthLink:
         latitude, longitude = math.degrees(place.latitude), math.degrees(place.longitude)
         return (
             f"puts it {away / 1e3:.1f} km from world.origin ({north:.0f} m north, {east:.0f} m east, {-down:.0f} m "
-            f"up), expected less than {FARTHEST_M / 1e3:g} km. It is at lat_deg = {latitude:.6f}, lon_deg = "
+            f"up), expected less than {FARTHEST_TRUTH_M / 1e3:g} km. It is at lat_deg = {latitude:.6f}, lon_deg = "
             f"{longitude:.6f}, alt_m = {place.height:.1f}"
         )
 
@@ -250,10 +250,10 @@ class TruthLink:
 def _request(system: int, message_id: int) -> object:
     return common.MAVLink_command_long_message(
         system,
-        AUTOPILOT,
+        TRUTH_AUTOPILOT_COMPONENT,
         common.MAV_CMD_SET_MESSAGE_INTERVAL,
         0,
         message_id,
-        round(1e6 / TRUTH_HZ),
+        round(1e6 / ASKED_TRUTH_HZ),
         *(0.0,) * 5,
     )

@@ -1,8 +1,8 @@
 """What an autopilot's simulator says is true, made into poses in the world frame, stamped on our clock.
 
 ArduPilot's SITL has SIM_STATE: the quaternion, and where on the Earth in 1e-7 degrees and metres above the sea. It has
-no stamp. ATTITUDE_QUATERNION, asked for at the same interval, is sent in the same turn of the main loop; its stamp
-counts for both, where the two arrive together. Where they do not, the time of arrival does. PX4's simulators have
+no stamp. TRUTH_ATTITUDE_QUATERNION, asked for at the same interval, is sent in the same turn of the main loop; its
+stamp counts for both, where the two arrive together. Where they do not, the time of arrival does. PX4's simulators have
 HIL_STATE_QUATERNION, which is stamped. Stamps come to our clock by a `ClockMap`; those of a clock that does not keep
 time are given up, and arrivals count.
 """
@@ -20,17 +20,17 @@ from swarmtrack.geometry.geodesy import Geodetic, to_ned
 from swarmtrack.geometry.pose import Pose
 
 SIM_STATE = common.MAVLINK_MSG_ID_SIM_STATE
-ATTITUDE_QUATERNION = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+TRUTH_ATTITUDE_QUATERNION = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 HIL_STATE_QUATERNION = common.MAVLINK_MSG_ID_HIL_STATE_QUATERNION
 # By kind of autopilot (MAV_AUTOPILOT): what to ask of its simulator.
 TRUTH_MESSAGES: dict[int, tuple[int, ...]] = {
-    common.MAV_AUTOPILOT_ARDUPILOTMEGA: (SIM_STATE, ATTITUDE_QUATERNION),
+    common.MAV_AUTOPILOT_ARDUPILOTMEGA: (SIM_STATE, TRUTH_ATTITUDE_QUATERNION),
     common.MAV_AUTOPILOT_PX4: (HIL_STATE_QUATERNION,),
 }
 TOGETHER = 0.005  # s between arrivals that belong to one turn of the main loop, of at least 400 Hz
 STAMPLESS = 1.0  # s without a stamp: none is waited for
 # A clock that stood still, or runs slow, makes every message late by this much for this long: learn it anew.
-LATE, LATE_FOR = 0.02, 0.25  # s
+TRUTH_LATE_S, TRUTH_LATE_LASTS_S = 0.02, 0.25  # s
 # Twice within this time: the clock does not keep time (PX4 in lockstep runs per cent slow), and arrivals are better.
 UNSTEADY_S = 5.0
 REBOOTED = 1.0  # s by which a stamp must fall back
@@ -103,9 +103,9 @@ class TruthReader:
             self._by_arrival = False
         self._stamp = stamp
         self._clock_map.observe(stamp, arrival)
-        if arrival - self._clock_map.to_ours(stamp) < LATE:
+        if arrival - self._clock_map.to_ours(stamp) < TRUTH_LATE_S:
             self._on_time = arrival
-        elif arrival - self._on_time > LATE_FOR:
+        elif arrival - self._on_time > TRUTH_LATE_LASTS_S:
             self._restart()
             self._clock_map.observe(stamp, arrival)
             self._by_arrival |= arrival - self._restarted < UNSTEADY_S

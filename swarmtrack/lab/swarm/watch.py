@@ -1,6 +1,6 @@
 """Hears a flying swarm and keeps what the judge and the spectator need of it.
 
-Each agent's tracks are sampled at RATE_HZ: of every tenth of a second its first message, at the exact instant that it
+Each agent's tracks are sampled at SCORE_HZ: of every tenth of a second its first message, at the exact instant that it
 speaks of, beside the truth of that instant. A tenth in which a running agent said nothing is a glance without tracks.
 
 Truths cost time that the agents want. So samples wait, and are judged in a share of one core; the rest after landing.
@@ -20,7 +20,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.lab.scenarios.scenario import Scenario, ScenarioFault
 from swarmtrack.lab.score.formation_score import FormationScore
 from swarmtrack.lab.score.relative_score import PlaceError, StatedPlace, error_of, relative_score
-from swarmtrack.lab.score.swarm_score import RATE_HZ, Glance, JudgedTrack, NamedTrack, SwarmScorer
+from swarmtrack.lab.score.swarm_score import SCORE_HZ, Glance, JudgedTrack, NamedTrack, SwarmScorer
 from swarmtrack.lab.score.swarm_truth import KNOTS_HZ, SwarmTruth
 from swarmtrack.lab.score.swarm_verdict import AgentFigures, Limits, SwarmReport
 from swarmtrack.lab.swarm.formation_watch import FormationWatch
@@ -38,7 +38,9 @@ from swarmtrack.wire.tracks import TracksMessage
 JUDGING_SHARE = 0.15  # of one core, in flight
 MAX_JUDGED_IN_FLIGHT = 10  # drones: of more the judge would be behind anyway
 HEALTH_S = 1.0  # that a health message looks back upon
-SETTLED_S = 3.0  # s of an agent's life: the second that its health message looks back upon is an ordinary one
+WATCH_SETTLED_S = (
+    3.0  # s of an agent's life: the second that its health message looks back upon is an ordinary one
+)
 TRUTH_AHEAD_S = 1.0 / KNOTS_HZ  # of what is judged: the truth is interpolated between knots
 NEW_SCAN_S = 1e-3  # s: exposures nearer to each other than this are one
 
@@ -110,7 +112,7 @@ class Watch:
         self._hearing = hearing
         self._epoch = epoch
         self._start, self._end = 0.0, seconds
-        self._pause = math.ceil(2.0 * RATE_HZ / scenario.tracks_hz) - 1
+        self._pause = math.ceil(2.0 * SCORE_HZ / scenario.tracks_hz) - 1
         """Tenths of a second that an agent may pass over, publishing at its rate."""
         self._truth = SwarmTruth(scenario.world, scenario.cameras)
         formation = scenario.formation
@@ -237,7 +239,7 @@ class Watch:
         if scan_t - agent.scan_t > NEW_SCAN_S and message.sequence == agent.sequence + 1 and t >= self._start:
             agent.latencies.append(message.scan_age_s)
         agent.scan_t, agent.sequence = scan_t, message.sequence
-        index = math.floor(t * RATE_HZ)
+        index = math.floor(t * SCORE_HZ)
         if agent.last_index is not None and index <= agent.last_index:
             return
         self._fill(drone_id, agent, index)
@@ -266,7 +268,7 @@ class Watch:
         """Tenths of a second before `index` in which the agent should have spoken and did not."""
         if agent.last_index is not None:
             for missed in range(agent.last_index + 1 + self._pause, index):
-                self._say(drone_id, agent, missed, (missed + 0.5) / RATE_HZ, None)
+                self._say(drone_id, agent, missed, (missed + 0.5) / SCORE_HZ, None)
 
     def _say(
         self,
@@ -304,7 +306,7 @@ class Watch:
         """After landing: whoever fell silent is asked for the tenths until the end, then all is judged."""
         for drone_id, agent in self.agents.items():
             if agent.boot is not None:
-                self._fill(drone_id, agent, math.floor(self._end * RATE_HZ))
+                self._fill(drone_id, agent, math.floor(self._end * SCORE_HZ))
         while self._waiting:
             self._judge_next()
             await asyncio.sleep(0)
@@ -404,7 +406,7 @@ class Watch:
             for agent in self.agents.values()
             for t, message in agent.health
             if t >= self._start + HEALTH_S
-            and message.uptime_s >= SETTLED_S
+            and message.uptime_s >= WATCH_SETTLED_S
             and any(
                 message.rates[name].got_hz < limits.rate * hz
                 for name, hz in asked.items()
@@ -425,7 +427,9 @@ class Watch:
 
     def _figures(self, drone_id: int, agent: AgentView) -> AgentFigures:
         health = [
-            message for t, message in agent.health if t >= self._start + 1.0 and message.uptime_s >= SETTLED_S
+            message
+            for t, message in agent.health
+            if t >= self._start + 1.0 and message.uptime_s >= WATCH_SETTLED_S
         ] or [message for _, message in agent.health]
         p50, p95 = np.percentile(agent.latencies, [50, 95]) if agent.latencies else (math.nan, math.nan)
 

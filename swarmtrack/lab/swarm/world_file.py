@@ -54,7 +54,7 @@ from swarmtrack.lab.scenarios.scenario import (
 from swarmtrack.lab.score.swarm_verdict import Limits
 from swarmtrack.lab.swarm.truth_link import TruthAddress
 from swarmtrack.lab.world.airframe import Airframe
-from swarmtrack.lab.world.followed import KEPT_S, FollowedDrone
+from swarmtrack.lab.world.followed import FOLLOWED_KEPT_S, FollowedDrone
 from swarmtrack.lab.world.sensors import DetectorParameters
 from swarmtrack.lab.world.star import TeamSlots
 from swarmtrack.lab.world.world import World
@@ -227,7 +227,7 @@ def check_alone(path: Path, *, scenario: str | None, drones: int | None, detail:
             )
 
 
-def load_world(path: Path, *, seed: int | None = None, keep_s: float = KEPT_S) -> OutsideWorld:
+def load_world(path: Path, *, seed: int | None = None, keep_s: float = FOLLOWED_KEPT_S) -> OutsideWorld:
     """seed: other than the file's; keep_s: how much of the truth is kept. Raises ConfigError with every problem."""
     layers = read_layers(path, _resolve_calibration)
     return world_of(layers, path.stem, seed=seed, keep_s=keep_s)

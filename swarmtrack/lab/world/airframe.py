@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 
-CORNERS = 16  # of every face; simpler ones repeat their last
+OUTLINE_CORNERS = 16  # of every face; simpler ones repeat their last
 AMBIENT = 0.55  # share of the light that comes from everywhere
 
 
@@ -164,7 +164,7 @@ class _Builder:
         return first
 
     def _face(self, indices: list[int], normal: Array, colour: Array, opacity: float) -> None:
-        self._faces.append(indices + indices[-1:] * (CORNERS - len(indices)))
+        self._faces.append(indices + indices[-1:] * (OUTLINE_CORNERS - len(indices)))
         self._normals.append(normal)
         self._colours.append(colour)
         self._opacity.append(opacity)
@@ -191,8 +191,8 @@ def solid_model(frame: Airframe, shell: Array, accent: Array) -> SolidModel:
         deck(middle, 0.2, 0.5, 0.95 * length), deck(frame.body_bottom + 0.015, 0.2, 0.4, 0.95 * length), dark
     )
 
-    angle = np.arange(CORNERS) * (2.0 * math.pi / CORNERS)
-    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(CORNERS)])
+    angle = np.arange(OUTLINE_CORNERS) * (2.0 * math.pi / OUTLINE_CORNERS)
+    circle = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(OUTLINE_CORNERS)])
     blades = []
     for motor, foot in zip(frame.motors, frame.feet, strict=True):
         seat = motor + np.array([0.0, 0.0, 0.025])

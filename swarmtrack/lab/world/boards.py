@@ -12,14 +12,14 @@ from swarmtrack.messages import Array, Image
 
 FINER = 2  # times: pixels are averaged of so many, each way
 WALL = 105.0  # grey level behind the board
-BORDER = 0.5  # squares of white paper around it
+BOARD_BORDER_SQUARES = 0.5  # squares of white paper around it
 
 
 class BoardScene:
     """A flat picture of `square_px` a square, drawn on paper, before a grey wall."""
 
     def __init__(self, picture: Image, square_px: int, square_m: float, camera: PinholeCamera) -> None:
-        border = round(BORDER * square_px)
+        border = round(BOARD_BORDER_SQUARES * square_px)
         paper = cv2.copyMakeBorder(
             picture, border, border, border, border, cv2.BORDER_CONSTANT, value=[255.0]
         )

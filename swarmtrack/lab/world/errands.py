@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from swarmtrack.config.toml.sections import NotNegative, Number, Positive, Section
-from swarmtrack.lab.world.response import STEP_S, Flown, Response, SetPoint, Triple, advance, at_rest
+from swarmtrack.lab.world.response import RESPONSE_STEP_S, Flown, Response, SetPoint, Triple, advance, at_rest
 from swarmtrack.lab.world.trajectory import (
     Handover,
     Hover,
@@ -30,9 +30,9 @@ from swarmtrack.messages import Array
 
 ON_THE_GROUND_M = 0.09  # of a drone's centre above it
 TO_SPARE_M = 2.5  # between two drones' ways
-EVERY = 4  # steps of the response for each sample that is kept: 20 ms
+ERRAND_STATE_STRIDE = 4  # steps of the response for each sample that is kept: 20 ms
 SWAYS_AFTER_S = 3.0  # from take-off: in the ground's wake the wind is no matter
-SETTLES_S = 8.0  # after the last order
+ERRAND_SETTLES_S = 8.0  # after the last order
 
 Heights = Annotated[tuple[Positive, ...], Field(min_length=1)]
 
@@ -69,7 +69,7 @@ def fly_errands(
         told = list(_orders(errand, (north, east), k, len(ids), chance))
         start = at_rest(told[0].t, (north, east, -ON_THE_GROUND_M), math.atan2(-east, -north))
         flown = _follow(start, told, response[drone_id])
-        every = EVERY * STEP_S
+        every = ERRAND_STATE_STRIDE * RESPONSE_STEP_S
         motion = np.array([[s.position, s.velocity, s.acceleration, s.jerk] for s in flown])
         yaw = np.array([[[s.yaw], [s.yaw_rate], [s.yaw_acceleration]] for s in flown])
         calm = Handover(
@@ -85,15 +85,18 @@ def fly_errands(
 
 
 def _follow(start: Flown, orders: Sequence[Order], response: Response) -> list[Flown]:
-    """Every `EVERY`th state of a flight by these orders."""
+    """Every `ERRAND_STATE_STRIDE`th state of a flight by these orders."""
     state, kept, pending = start, [start], list(orders)
     told = pending.pop(0).told
-    steps = round((orders[-1].t + SETTLES_S - start.t) / (EVERY * STEP_S)) * EVERY
+    steps = (
+        round((orders[-1].t + ERRAND_SETTLES_S - start.t) / (ERRAND_STATE_STRIDE * RESPONSE_STEP_S))
+        * ERRAND_STATE_STRIDE
+    )
     for step in range(1, steps + 1):
         while pending and pending[0].t <= state.t:
             told = pending.pop(0).told
         state = advance(state, told, response)
-        if step % EVERY == 0:
+        if step % ERRAND_STATE_STRIDE == 0:
             kept.append(state)
     return kept
 

@@ -17,7 +17,7 @@ from swarmtrack.messages import Array
 # s between two samples that may be joined. At 4 rad/s², the hardest that a multirotor yaws, a straight line between
 # them is 5 mrad off (a dt² / 8): two pixels at a focal length of 430.
 LONGEST_GAP = 0.1
-KEPT_S = 2.0  # s of samples that a drone is followed with, unless it is told to keep more
+FOLLOWED_KEPT_S = 2.0  # s of samples that a drone is followed with, unless it is told to keep more
 
 
 class NotTold(Exception):
@@ -34,7 +34,7 @@ class ToldPose(NamedTuple):
 class FollowedDrone:
     """The poses of one drone, as told. keep_s: how much of the past can be asked for; inf: all of it."""
 
-    def __init__(self, keep_s: float = KEPT_S) -> None:
+    def __init__(self, keep_s: float = FOLLOWED_KEPT_S) -> None:
         self._keep_s = keep_s
         # Cameras ask from threads of their own while a sample comes in: this list only grows at its end, and when it
         # is cut, the shorter one replaces it.

@@ -15,13 +15,13 @@ from collections.abc import Callable
 import numpy as np
 
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.lab.world.response import STEP_S, Response, SetPoint, Triple, advance, at_rest
+from swarmtrack.lab.world.response import RESPONSE_STEP_S, Response, SetPoint, Triple, advance, at_rest
 from swarmtrack.lab.world.response import Flown as FlownState
 from swarmtrack.lab.world.trajectory import GRAVITY, Motion, Path, attitude_and_rate
 from swarmtrack.messages import Array
 from swarmtrack.motion.smooth import scaled, smooth_step
 
-REMEMBERED_S = 20.0  # s: frames, filters and truth ask for tenths of a second
+GUIDED_REMEMBERED_S = 20.0  # s: frames, filters and truth ask for tenths of a second
 SWAYS_FROM_M = 1.0  # m above the ground: there it sways in full, on the ground not at all
 ON_THE_GROUND = 1e-6  # m
 
@@ -134,7 +134,7 @@ class GuidedDrone:
                 off = self.heading_error(state.t)
                 state = self._above_ground(advance(state, self._told, self._response, off))
                 self._states.append(state)
-        self._forget(state.t - REMEMBERED_S)
+        self._forget(state.t - GUIDED_REMEMBERED_S)
         return self._states[-1]
 
     def _above_ground(self, state: FlownState) -> FlownState:
@@ -154,7 +154,7 @@ class GuidedDrone:
 
 def _carried_on(state: FlownState, t: float) -> FlownState:
     """The state at t, within a step after `state`: to third order in position, as its derivatives say."""
-    s = min(t - state.t, STEP_S)
+    s = min(t - state.t, RESPONSE_STEP_S)
     if not s > 0.0:
         return state
 

@@ -30,8 +30,8 @@ from swarmtrack.lab.world.scenery import SHIFT, Backdrop, Scenery
 from swarmtrack.lab.world.world import World, frame_numbers
 from swarmtrack.messages import Array, Image
 
-FAR = 1000.0  # m: where only turning moves the image
-NEAR = 0.2  # m: whatever reaches nearer to the camera is not drawn
+FARTHEST_DRAWN_M = 1000.0  # m: where only turning moves the image
+NEAREST_DRAWN_M = 0.2  # m: whatever reaches nearer to the camera is not drawn
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class Renderer:
         )
         image = self._backdrop.draw(eye)
         self._scenery.draw(image, eye, self.camera, self._backdrop.palette.horizon)
-        straight_ahead = eye.transform(np.array([[0.0, 0.0, FAR]]))
+        straight_ahead = eye.transform(np.array([[0.0, 0.0, FARTHEST_DRAWN_M]]))
         image = _motion_blurred(image, self._image_motion(ends, np.repeat(straight_ahead, 2, axis=0)))
         if self.optics.blur_px > 0.0:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), self.optics.blur_px), dtype=np.uint8)
@@ -119,7 +119,7 @@ class Renderer:
         vertices = model.vertices(phases)
         in_camera = (vertices - body_from_camera.position) @ body_from_camera.rotation
         pixels, _, valid = self.camera.project(in_camera)
-        if not valid.all() or self.camera.depth(in_camera).min() < NEAR:
+        if not valid.all() or self.camera.depth(in_camera).min() < NEAREST_DRAWN_M:
             return
 
         margin = math.ceil(3.0 * self.optics.blur_px + np.abs(motion).max()) + 2

@@ -19,8 +19,8 @@ Triple = tuple[
     float, float, float
 ]  # north, east, down: plain numbers, as this runs 200 times per second of flight
 
-STEP_S = 0.005  # s
-STILL: Triple = (0.0, 0.0, 0.0)
+RESPONSE_STEP_S = 0.005  # s
+NO_MOTION: Triple = (0.0, 0.0, 0.0)
 NOSE_FROM_M = 0.5  # m: of a way point nearer than this the bearing says nothing
 NOSE_FROM_M_S = 0.5  # m/s: the nose turns once the drone is on its way, as ArduCopter's does
 
@@ -67,7 +67,7 @@ class Response:
     hold_s: float
 
 
-ARDUPILOT = Response(
+ARDUPILOT_RESPONSE = Response(
     level=Axis(speed=5.0, acceleration=2.5, jerk=5.0, lag=0.14, gain=2.5, approach=0.9),
     vertical=Axis(speed=2.5, acceleration=1.17, jerk=2.8, lag=0.07, gain=5.6, approach=0.57, foresight=-0.5),
     yaw_omega=6.0,
@@ -79,7 +79,7 @@ ARDUPILOT = Response(
     hold_s=3.0,
 )
 # Its simulator has drag, which only the slow integral of the velocity controller takes up: a steep start, a long tail.
-PX4 = Response(
+PX4_RESPONSE = Response(
     level=Axis(
         speed=12.0, acceleration=9.0, jerk=37.0, lag=0.12, gain=1.9, approach=2.0, integral=0.36, drag=0.82
     ),
@@ -138,16 +138,16 @@ def at_rest(t: float, position: Triple, yaw: float) -> Flown:
     return Flown(
         t,
         position,
-        STILL,
-        STILL,
-        STILL,
-        STILL,
-        STILL,
+        NO_MOTION,
+        NO_MOTION,
+        NO_MOTION,
+        NO_MOTION,
+        NO_MOTION,
         yaw,
         0.0,
         0.0,
-        STILL,
-        STILL,
+        NO_MOTION,
+        NO_MOTION,
         rates=(),
         hold=None,
         nose=None,
@@ -155,7 +155,8 @@ def at_rest(t: float, position: Triple, yaw: float) -> Flown:
 
 
 def advance(state: Flown, told: SetPoint, response: Response, heading_error: float = 0.0) -> Flown:
-    """The state STEP_S later. heading_error: by how much the autopilot believes its nose too far clockwise [rad]."""
+    """The state RESPONSE_STEP_S later. heading_error: by how much the autopilot believes its nose too far clockwise
+    [rad]."""
     told = _held(told, state.t, response)
     (vx, vy, vz), hold = _wanted_velocity(state, told, response)
     level, vertical = response.level, response.vertical
@@ -167,7 +168,7 @@ def advance(state: Flown, told: SetPoint, response: Response, heading_error: flo
     position, velocity, acceleration, jerk, thrust, thrust_jerk, demand = zip(*moved, strict=True)
     gains = (level.integral, level.integral, vertical.integral)
     ix, iy, iz = (
-        old + STEP_S * gain * (wanted - speed)
+        old + RESPONSE_STEP_S * gain * (wanted - speed)
         for gain, wanted, speed, old in zip(gains, (vx, vy, vz), state.velocity, state.integral, strict=True)
     )
     nose = _nose(state, told)
@@ -175,7 +176,7 @@ def advance(state: Flown, told: SetPoint, response: Response, heading_error: flo
     delayed, rates = _delayed(state.rates, wanted_rate, response.yaw_dead_s)
     yaw, yaw_rate, yaw_acceleration = _turned(state, delayed, response)
     return Flown(
-        state.t + STEP_S, position, velocity, acceleration, jerk, thrust, thrust_jerk,
+        state.t + RESPONSE_STEP_S, position, velocity, acceleration, jerk, thrust, thrust_jerk,
         yaw, yaw_rate, yaw_acceleration, demand, (ix, iy, iz), rates, hold, nose,
     )  # fmt: skip
 
@@ -184,7 +185,7 @@ def _held(told: SetPoint, t: float, response: Response) -> SetPoint:
     """What a set point still means at t: a velocity without another for `hold_s` is a brake; go-tos hold for ever."""
     if told.velocity is None or told.position is not None or t - told.t <= response.hold_s:
         return told
-    return told._replace(velocity=STILL, yaw_rate=None)
+    return told._replace(velocity=NO_MOTION, yaw_rate=None)
 
 
 def _wanted_velocity(state: Flown, told: SetPoint, response: Response) -> tuple[Triple, Triple | None]:
@@ -221,7 +222,7 @@ def _demand_jerk(state: Flown, wanted: tuple[float, ...], axis: Axis, first: int
     demand = [push * e + state.integral[k] for k, e in zip(among, error, strict=True)]
     length = math.hypot(*demand)
     cut = min(1.0, axis.acceleration / length) if length > 0.0 else 1.0
-    jerk = [(cut * d - state.demand[k]) / STEP_S for k, d in zip(among, demand, strict=True)]
+    jerk = [(cut * d - state.demand[k]) / RESPONSE_STEP_S for k, d in zip(among, demand, strict=True)]
     length = math.hypot(*jerk)
     cut = min(1.0, axis.jerk / length) if length > 0.0 else 1.0
     return [cut * j for j in jerk]
@@ -234,7 +235,7 @@ def _moved(state: Flown, axis: Axis, k: int, demand_jerk: float) -> tuple[float,
     position = x[0] + p1 * x[1] + p2 * x[2] + p3 * x[3] + p4 * x[4]
     velocity = v1 * x[1] + v2 * x[2] + v3 * x[3] + v4 * x[4]
     thrust = a2 * x[2] + a3 * x[3] + a4 * x[4]
-    demand = x[3] + STEP_S * demand_jerk
+    demand = x[3] + RESPONSE_STEP_S * demand_jerk
     thrust_jerk = (demand - thrust) / axis.lag
     acceleration = thrust - axis.drag * velocity
     jerk = thrust_jerk - axis.drag * acceleration
@@ -254,7 +255,7 @@ def _transition(lag: float, drag: float) -> tuple[tuple[float, ...], ...]:
     A[1, 1:3] = -drag, 1.0
     A[2, 2:4] = -1.0 / lag, 1.0 / lag
     A[3, 4] = 1.0
-    return tuple(tuple(row) for row in expm(A * STEP_S)[:3].tolist())
+    return tuple(tuple(row) for row in expm(A * RESPONSE_STEP_S)[:3].tolist())
 
 
 def _nose(state: Flown, told: SetPoint) -> float | None:
@@ -283,13 +284,13 @@ def _wanted_yaw_rate(told: SetPoint, nose: float | None, response: Response, bel
 def _delayed(rates: tuple[float, ...], newest: float, dead_s: float) -> tuple[float, tuple[float, ...]]:
     """The rate that leaves the dead time, and those still in it."""
     rates = (*rates, newest)
-    return (rates[0], rates[1:]) if len(rates) > round(dead_s / STEP_S) else (0.0, rates)
+    return (rates[0], rates[1:]) if len(rates) > round(dead_s / RESPONSE_STEP_S) else (0.0, rates)
 
 
 def _turned(state: Flown, wanted: float, response: Response) -> tuple[float, float, float]:
     """Yaw, its rate and its acceleration after one step of a second order, semi-implicit."""
     omega, zeta = response.yaw_omega, response.yaw_zeta
     push = omega**2 * (wanted - state.yaw_rate) - 2.0 * zeta * omega * state.yaw_acceleration
-    acceleration = state.yaw_acceleration + STEP_S * push
-    rate = state.yaw_rate + STEP_S * 0.5 * (state.yaw_acceleration + acceleration)
-    return state.yaw + STEP_S * 0.5 * (state.yaw_rate + rate), rate, acceleration
+    acceleration = state.yaw_acceleration + RESPONSE_STEP_S * push
+    rate = state.yaw_rate + RESPONSE_STEP_S * 0.5 * (state.yaw_acceleration + acceleration)
+    return state.yaw + RESPONSE_STEP_S * 0.5 * (state.yaw_rate + rate), rate, acceleration

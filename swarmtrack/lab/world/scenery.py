@@ -33,7 +33,7 @@ GROUND_SCALES = (
 CLOUD = np.array([240.0, 238.0, 236.0])
 # Cosine: what stands farther off an ordinary lens' axis is not drawn.
 LEAST_AHEAD = 0.3
-CORNERS = 18  # of every figure; simpler ones repeat their last
+FIGURE_CORNERS = 18  # of every figure; simpler ones repeat their last
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,14 +261,14 @@ class Scenery:
             return
         right = np.column_stack([-away[seen, 1], away[seen, 0]]) / distance[seen, None]
         outline = self._outlines[seen]
-        corners = np.empty((len(seen), CORNERS, 3))
+        corners = np.empty((len(seen), FIGURE_CORNERS, 3))
         corners[:, :, :2] = self._places[seen, None] + outline[:, :, :1] * right[:, None]
         corners[:, :, 2] = -outline[:, :, 1]
         in_camera = (corners - eye) @ world_from_camera.rotation
         pixels, _, valid = camera.project(in_camera.reshape(-1, 3))
-        pixels = pixels.reshape(-1, CORNERS, 2)
+        pixels = pixels.reshape(-1, FIGURE_CORNERS, 2)
         low, high = pixels.min(axis=1), pixels.max(axis=1)
-        shown = valid.reshape(-1, CORNERS).all(axis=1)
+        shown = valid.reshape(-1, FIGURE_CORNERS).all(axis=1)
         with np.errstate(invalid="ignore"):
             shown &= (high > 0.0).all(axis=1) & (low < (camera.width, camera.height)).all(axis=1)
         clear = np.exp(-distance[seen] / self._haze_m)[:, None]
@@ -280,7 +280,9 @@ class Scenery:
 
 def _figure(points: list[tuple[float, float]], colour: Array) -> Figure:
     outline = np.array(points, dtype=float)
-    return Figure(np.concatenate([outline, np.repeat(outline[-1:], CORNERS - len(outline), axis=0)]), colour)
+    return Figure(
+        np.concatenate([outline, np.repeat(outline[-1:], FIGURE_CORNERS - len(outline), axis=0)]), colour
+    )
 
 
 def _rectangle(left: float, right: float, bottom: float, top: float, colour: Array) -> Figure:
@@ -292,10 +294,10 @@ def _tree(rng: np.random.Generator) -> list[Figure]:
     width = height * rng.uniform(0.25, 0.5)
     green = np.array([44.0, 84.0, 62.0]) * rng.uniform(0.7, 1.3) + rng.normal(0.0, 6.0, 3)
     trunk = _rectangle(-0.03 * height, 0.03 * height, -0.1, 0.45 * height, np.array([48.0, 62.0, 74.0]))
-    angle = np.linspace(0.0, 2.0 * math.pi, CORNERS, endpoint=False)
+    angle = np.linspace(0.0, 2.0 * math.pi, FIGURE_CORNERS, endpoint=False)
     crown = []
     for size, shift, light in ((1.0, 0.0, 0.8), (0.72, 0.06, 1.0), (0.4, 0.14, 1.2)):
-        ragged = size * rng.uniform(0.82, 1.12, CORNERS)
+        ragged = size * rng.uniform(0.82, 1.12, FIGURE_CORNERS)
         right = width * (ragged * np.cos(angle) - shift)
         up = height * (0.62 + 0.37 * ragged * np.sin(angle) + 0.5 * shift)
         crown.append(_figure(list(zip(right, up, strict=True)), np.clip(light * green, 0.0, 255.0)))

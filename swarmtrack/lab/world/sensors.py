@@ -22,7 +22,7 @@ from swarmtrack.lab.world.trajectory import Motion
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Detections, EgoPose, FlightState, ImuSample
 
-NOISE_BLOCK = (
+SENSOR_NOISE_BLOCK = (
     256  # samples whose noise is drawn at once: a generator costs as much as a hundred of its numbers
 )
 OCCLUDED = 0.7  # share of a box that nearer boxes must cover for its drone to count as hidden
@@ -77,10 +77,10 @@ class Imu:
     def sample(self, index: int) -> ImuSample:
         """Sample number `index`, at world time index / rate, stamped by somebody who knows the filter's delay."""
         t = index / self.parameters.rate_hz
-        block, row = divmod(index, NOISE_BLOCK)
+        block, row = divmod(index, SENSOR_NOISE_BLOCK)
         if block != self._block:
             rng = self._world.chance("imu", self._drone_id, block)
-            self._block, self._noise = block, rng.standard_normal((NOISE_BLOCK, 2, 3))
+            self._block, self._noise = block, rng.standard_normal((SENSOR_NOISE_BLOCK, 2, 3))
         delay = self.parameters.delay_s
         return ImuSample(t - delay, *self.measure(t, self._noise[row]), delay)
 

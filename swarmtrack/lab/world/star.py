@@ -19,7 +19,15 @@ from swarmtrack.config.toml.sections import Place as Velocity
 from swarmtrack.formation.parameters import Place
 from swarmtrack.lab.world.errands import ON_THE_GROUND_M, SWAYS_AFTER_S
 from swarmtrack.lab.world.guided import GuidedDrone
-from swarmtrack.lab.world.response import ARDUPILOT, STEP_S, STILL, SetPoint, Triple, advance, at_rest
+from swarmtrack.lab.world.response import (
+    ARDUPILOT_RESPONSE,
+    NO_MOTION,
+    RESPONSE_STEP_S,
+    SetPoint,
+    Triple,
+    advance,
+    at_rest,
+)
 from swarmtrack.lab.world.trajectory import (
     Handover,
     Hover,
@@ -33,9 +41,9 @@ from swarmtrack.lab.world.trajectory import (
 )
 from swarmtrack.lab.world.world import Drawn, World
 
-EVERY = 4  # steps of the response for each sample that is kept: 20 ms
-SETTLES_S = 8.0  # after the sticks were let go
-BESIDE_M = 0.3  # level, one sigma: so well a drone is put below its slot
+STAR_STATE_STRIDE = 4  # steps of the response for each sample that is kept: 20 ms
+STAR_SETTLES_S = 8.0  # after the sticks were let go
+SLOT_OFFSET_SIGMA_M = 0.3  # level, one sigma: so well a drone is put below its slot
 
 
 def arc(ids: Sequence[int], gap_m: float, *, layer_m: float = 1.0) -> dict[int, Place]:
@@ -43,7 +51,7 @@ def arc(ids: Sequence[int], gap_m: float, *, layer_m: float = 1.0) -> dict[int, 
     and below it in turn, and of more than five every third level with it."""
     leader, *others = ids
     n = len(ids)
-    slots: dict[int, Place] = {leader: STILL}
+    slots: dict[int, Place] = {leader: NO_MOTION}
     for k, drone in enumerate(others):
         angle = math.radians(-60.0 + 120.0 * k / (n - 2)) if n > 2 else 0.0
         radius = gap_m if n <= 5 or k % 2 == 0 else 1.6 * gap_m
@@ -97,7 +105,7 @@ class Star(TeamSlots):
         """What the leader's sticks ask for [m/s, NED]."""
         after = bisect_right(self.sticks, t, key=lambda stick: stick.at_s)
         if after in (0, len(self.sticks)):
-            return STILL
+            return NO_MOTION
         before, then = self.sticks[after - 1], self.sticks[after]
         share = (t - before.at_s) / (then.at_s - before.at_s)
         north, east, down = (
@@ -112,32 +120,34 @@ def fly_star(world: World, star: Star, sway_m: float) -> World:
     hovers = star.takes_off_s == -math.inf
     for drone_id in star.followers:
         north, east, _ = star.slots[drone_id]
-        off = BESIDE_M * world.chance("beside its slot", drone_id).standard_normal(2)
+        off = SLOT_OFFSET_SIGMA_M * world.chance("beside its slot", drone_id).standard_normal(2)
         height = star.height_of(drone_id) if hovers else ON_THE_GROUND_M
         start = (north + float(off[0]), east + float(off[1]), -height)
         drift = wander(world.chance("wander", drone_id), sway_m)
         heading = math.atan2(-east, -north)
-        drones[drone_id] = GuidedDrone(start, heading, ARDUPILOT, drift, hovers=hovers)
+        drones[drone_id] = GuidedDrone(start, heading, ARDUPILOT_RESPONSE, drift, hovers=hovers)
     return World(world.seed, dict(sorted({**world.drones, **drones}.items())), world.airframes)
 
 
 def _leader(world: World, star: Star, sway_m: float) -> Trajectory:
     """Up to its height, then wherever its sticks are."""
     hovers = star.takes_off_s == -math.inf
-    begins, ends = star.sticks[0].at_s, star.sticks[-1].at_s + SETTLES_S
+    begins, ends = star.sticks[0].at_s, star.sticks[-1].at_s + STAR_SETTLES_S
     departs = begins if hovers else star.takes_off_s
     height = star.height_m if hovers else ON_THE_GROUND_M
     state = at_rest(departs, (0.0, 0.0, -height), 0.0)
     above = SetPoint(math.inf, position=(0.0, 0.0, -star.height_m), yaw_rate=0.0)
     kept = [state]
-    for step in range(1, round((ends - departs) / (EVERY * STEP_S)) * EVERY + 1):
+    for step in range(
+        1, round((ends - departs) / (STAR_STATE_STRIDE * RESPONSE_STEP_S)) * STAR_STATE_STRIDE + 1
+    ):
         steered = SetPoint(state.t, velocity=star.velocity(state.t), yaw_rate=0.0)
-        state = advance(state, above if state.t < begins else steered, ARDUPILOT)
-        if step % EVERY == 0:
+        state = advance(state, above if state.t < begins else steered, ARDUPILOT_RESPONSE)
+        if step % STAR_STATE_STRIDE == 0:
             kept.append(state)
     motion = np.array([[s.position, s.velocity, s.acceleration, s.jerk] for s in kept])
     drift: Path = wander(world.chance("wander", star.leader), sway_m)
     if not hovers:
-        drift = Handover(Hover(STILL), drift, star.takes_off_s, SWAYS_AFTER_S)
-    path = SampledPath(Sampled(departs, EVERY * STEP_S, motion))
+        drift = Handover(Hover(NO_MOTION), drift, star.takes_off_s, SWAYS_AFTER_S)
+    path = SampledPath(Sampled(departs, STAR_STATE_STRIDE * RESPONSE_STEP_S, motion))
     return Trajectory(Together((path, drift)), SteadyYaw(0.0), takes_off_s=star.takes_off_s)

@@ -18,13 +18,13 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
+from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array
 from swarmtrack.motion.smooth import DERIVATIVES, scaled, sinusoid, smooth_step
 from swarmtrack.motion.sway import sway
 
-STANDARD_GRAVITY = 9.80665  # m/s²
-GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY])  # m/s², NED: down is positive
+GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])  # m/s², NED: down is positive
 FREE_FALL_THRUST = 0.5  # m/s²: below it the thrust has no direction, and flatness no attitude
 
 

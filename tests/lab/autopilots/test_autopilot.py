@@ -18,7 +18,7 @@ from swarmtrack.lab.autopilots.pilot import OnItsPath
 from swarmtrack.lab.autopilots.senses import DroneSenses
 from swarmtrack.lab.autopilots.truth import DroneTruth
 from swarmtrack.lab.scenarios.files import load_scenario
-from swarmtrack.lab.scenarios.scenario import ORIGIN
+from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
 from swarmtrack.lab.world.world import World
 
 
@@ -29,8 +29,8 @@ def world() -> World:
 
 def flying(world: World, drone_id: int = 1) -> SimulatedArduPilot:
     return SimulatedArduPilot(
-        DroneSenses(world, drone_id, 0.0, earth=ORIGIN),
-        truth=DroneTruth(world, drone_id, 0.0, ORIGIN),
+        DroneSenses(world, drone_id, 0.0, earth=SCENARIO_ORIGIN),
+        truth=DroneTruth(world, drone_id, 0.0, SCENARIO_ORIGIN),
         boot_at=-40.0,
     )
 
@@ -167,7 +167,7 @@ def test_sim_state_tells_the_true_pose_to_a_centimetre_with_the_stamp_of_the_att
         assert (true.get_type(), estimate.get_type()) == ("SIM_STATE", "ATTITUDE_QUATERNION")
         motion = drone.motion(estimate.time_boot_ms * 1e-3 - 40.0)
         place = Geodetic.from_degrees(1e-7 * true.lat_int, 1e-7 * true.lon_int, true.alt)
-        np.testing.assert_allclose(to_ned(place, ORIGIN), motion.position, atol=0.015)
+        np.testing.assert_allclose(to_ned(place, SCENARIO_ORIGIN), motion.position, atol=0.015)
         np.testing.assert_allclose((true.vn, true.ve, true.vd), motion.velocity, atol=1e-5)
         np.testing.assert_allclose((true.xgyro, true.ygyro, true.zgyro), motion.body_rate, atol=1e-5)
         q = np.array((true.q1, true.q2, true.q3, true.q4))
@@ -195,7 +195,7 @@ def test_a_single_message_comes_on_request(world):
     )
     bench.run(0.5)
     (fix,) = bench.ground.of("GPS_RAW_INT")
-    assert fix.lat * 1e-7 == pytest.approx(math.degrees(ORIGIN.latitude), abs=1e-3)
+    assert fix.lat * 1e-7 == pytest.approx(math.degrees(SCENARIO_ORIGIN.latitude), abs=1e-3)
     assert [m.result for m in bench.ground.of("COMMAND_ACK")] == [ardupilotmega.MAV_RESULT_ACCEPTED]
 
 

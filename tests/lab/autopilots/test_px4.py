@@ -13,13 +13,13 @@ from pymavlink.dialects.v20 import ardupilotmega
 from support.ground_station import Bench
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.geodesy import Geodetic, to_ned
-from swarmtrack.lab.autopilots.firmware import PX4
+from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE
 from swarmtrack.lab.autopilots.pilot import GuidedPilot
 from swarmtrack.lab.autopilots.px4 import SimulatedPx4
 from swarmtrack.lab.autopilots.senses import NO_ERRORS, DroneSenses
 from swarmtrack.lab.autopilots.truth import DroneTruth
 from swarmtrack.lab.scenarios.files import load_scenario
-from swarmtrack.lab.scenarios.scenario import ORIGIN
+from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
 from swarmtrack.lab.world.guided import GuidedDrone
 from swarmtrack.lab.world.trajectory import Hover
 from swarmtrack.lab.world.world import World
@@ -33,7 +33,9 @@ OFFBOARD, AUTO, TAKEOFF, HOLD, LANDING = 6, 4, 2, 3, 6
 def hovering(**options) -> Bench:
     world = load_scenario("crossing", seed=3).world
     autopilot = SimulatedPx4(
-        DroneSenses(world, 1, 0.0, earth=ORIGIN), truth=DroneTruth(world, 1, 0.0, ORIGIN), **options
+        DroneSenses(world, 1, 0.0, earth=SCENARIO_ORIGIN),
+        truth=DroneTruth(world, 1, 0.0, SCENARIO_ORIGIN),
+        **options,
     )
     return Bench(autopilot)
 
@@ -133,7 +135,7 @@ def test_its_truth_is_stamped():
     for m in told:
         motion = drone.motion(m.time_usec * 1e-6)
         place = Geodetic.from_degrees(1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
-        np.testing.assert_allclose(to_ned(place, ORIGIN), motion.position, atol=0.015)
+        np.testing.assert_allclose(to_ned(place, SCENARIO_ORIGIN), motion.position, atol=0.015)
         np.testing.assert_allclose((m.vx, m.vy, m.vz), 1e2 * motion.velocity, atol=0.51)
         attitude = rotation.from_quaternion(np.array(m.attitude_quaternion))
         np.testing.assert_allclose(attitude, motion.attitude, atol=1e-5)
@@ -148,14 +150,19 @@ class Px4Bench(Bench):
     """A PX4 on the ground, and who commands it."""
 
     def __init__(self) -> None:
-        self.drone = GuidedDrone((0.0, 0.0, 0.0), 0.0, PX4.response, Hover((0.0, 0.0, 0.0)))
+        self.drone = GuidedDrone((0.0, 0.0, 0.0), 0.0, PX4_FIRMWARE.response, Hover((0.0, 0.0, 0.0)))
         world = World(3, {1: self.drone})
         self.pilot = GuidedPilot(
-            self.drone, PX4, epoch=0.0, origin=ORIGIN, located=lambda t: True, errors=NO_ERRORS
+            self.drone,
+            PX4_FIRMWARE,
+            epoch=0.0,
+            origin=SCENARIO_ORIGIN,
+            located=lambda t: True,
+            errors=NO_ERRORS,
         )
         super().__init__(
             SimulatedPx4(
-                DroneSenses(world, 1, 0.0), truth=DroneTruth(world, 1, 0.0, ORIGIN), pilot=self.pilot
+                DroneSenses(world, 1, 0.0), truth=DroneTruth(world, 1, 0.0, SCENARIO_ORIGIN), pilot=self.pilot
             )
         )
         self.both_say_hello()
@@ -190,7 +197,7 @@ def test_offboard_needs_set_points_beforehand_lifts_off_by_them_and_holds_withou
 
 def test_a_take_off_begins_when_it_is_armed_and_a_landing_disarms():
     bench = Px4Bench()
-    assert bench.take_off(ORIGIN.height + 4.0) == ACCEPTED
+    assert bench.take_off(SCENARIO_ORIGIN.height + 4.0) == ACCEPTED
     bench.run(1.1)
     assert bench.told_mode == (AUTO, TAKEOFF)
     assert bench.arm() == ACCEPTED

@@ -21,7 +21,7 @@ import pytest
 from support.patience import PATIENCE
 from support.places import PYTHONPATH, ROOT
 from swarmtrack.lab.swarm.radio import RadioEmulator, RadioError, mac_address
-from swarmtrack.lab.swarm.radio_switch import BUFFER, MAX_WAITING, RadioChannel, Switch
+from swarmtrack.lab.swarm.radio_switch import BUFFER, MAX_WAITING_FRAMES, RadioChannel, Switch
 
 PORT = 9000
 EVERYBODY = b"\xff" * 6
@@ -131,10 +131,10 @@ def test_a_narrow_radio_sends_one_frame_after_the_other_and_loses_what_it_has_no
 def test_the_air_holds_no_more_than_so_many_delayed_frames():
     channel, switch = switch_of(2)
     channel.latency_s[1] = 1.0
-    for _ in range(MAX_WAITING + 10):
+    for _ in range(MAX_WAITING_FRAMES + 10):
         switch.send(0, frame_to(mac_address(2)), 0.0)
     assert channel.lost_frames[0] == 10
-    assert len(switch.deliver(2.0)) == MAX_WAITING
+    assert len(switch.deliver(2.0)) == MAX_WAITING_FRAMES
 
 
 @pytest.mark.parametrize("drones", [[], [1, 1], [0], [65535], list(range(1, 300))])

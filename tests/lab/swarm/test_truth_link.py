@@ -16,7 +16,7 @@ from support.ports import free_port
 from support.telling_sitl import PATH, autopilot, telling_sitl
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.geodesy import from_ned
-from swarmtrack.lab.scenarios.scenario import ORIGIN
+from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
 from swarmtrack.lab.swarm.truth_link import FATAL, TruthAddress, TruthFault, TruthLink
 from swarmtrack.lab.swarm.truth_messages import TrueSample
 
@@ -26,7 +26,7 @@ async def following(
     address: str, system_id: int | None = None
 ) -> AsyncIterator[tuple[TruthLink, list[TrueSample]]]:
     told: list[TrueSample] = []
-    link = TruthLink(TruthAddress(7, address, system_id), ORIGIN, SystemClock(), told.append)
+    link = TruthLink(TruthAddress(7, address, system_id), SCENARIO_ORIGIN, SystemClock(), told.append)
     task = asyncio.create_task(link.run())
     try:
         yield link, told
@@ -93,7 +93,7 @@ async def test_a_real_autopilot_has_no_truth():
 
 
 async def test_an_origin_that_is_2_km_off_is_told_where_the_drone_is():
-    elsewhere = from_ned(np.array([2000.0, 0.0, 0.0]), ORIGIN)
+    elsewhere = from_ned(np.array([2000.0, 0.0, 0.0]), SCENARIO_ORIGIN)
     async with telling_sitl(autopilot(origin=elsewhere)) as sitl, following(sitl.address) as (link, _):
         await eventually(trouble(link, "puts it 2.0 km from world.origin (200", "less than 1 km. It is at"))
         fault, said = link.trouble()

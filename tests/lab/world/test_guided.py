@@ -14,10 +14,10 @@ from support.ground_station import Bench
 from swarmtrack.geometry import rotation
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
 from swarmtrack.lab.autopilots.firmware import ARDUCOPTER
-from swarmtrack.lab.autopilots.pilot import TRANSITIONS, GuidedPilot, Phase, PilotEvent
+from swarmtrack.lab.autopilots.pilot import PHASE_TRANSITIONS, GuidedPilot, Phase, PilotEvent
 from swarmtrack.lab.autopilots.senses import NO_ERRORS, DroneSenses, LastingErrors
 from swarmtrack.lab.autopilots.truth import DroneTruth
-from swarmtrack.lab.scenarios.scenario import ORIGIN
+from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
 from swarmtrack.lab.world.guided import GuidedDrone
 from swarmtrack.lab.world.response import Triple
 from swarmtrack.lab.world.trajectory import Hover, Path, wander
@@ -46,18 +46,18 @@ class GuidedBench(Bench):
     ) -> None:
         self.drone = GuidedDrone(START, YAW, ARDUCOPTER.response, sway)
         world = World(3, {1: self.drone})
-        senses = DroneSenses(world, 1, 0.0, earth=ORIGIN)
+        senses = DroneSenses(world, 1, 0.0, earth=SCENARIO_ORIGIN)
         self.errors = flies_by(senses.lasting_errors)
         self.pilot = GuidedPilot(
             self.drone,
             ARDUCOPTER,
             epoch=0.0,
-            origin=ORIGIN,
+            origin=SCENARIO_ORIGIN,
             located=lambda t: t >= fix_at,
             errors=self.errors,
         )
         autopilot = SimulatedArduPilot(
-            senses, truth=DroneTruth(world, 1, 0.0, ORIGIN), pilot=self.pilot, boot_at=-40.0
+            senses, truth=DroneTruth(world, 1, 0.0, SCENARIO_ORIGIN), pilot=self.pilot, boot_at=-40.0
         )
         super().__init__(autopilot, now)
         self.both_say_hello()
@@ -235,7 +235,7 @@ def test_a_mode_that_holds_stops_it_where_it_is(mode):
 def test_a_place_on_the_earth_is_flown_to_by_both_of_its_messages():
     bench = GuidedBench()
     bench.climb()
-    lat, lon = (round(1e7 * math.degrees(angle)) for angle in ORIGIN[:2])
+    lat, lon = (round(1e7 * math.degrees(angle)) for angle in SCENARIO_ORIGIN[:2])
     frame = ardupilotmega.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
     ignore = 0b110111111000
     bench.ground.send(
@@ -339,9 +339,9 @@ def test_a_place_on_the_earth_is_where_its_gps_says_and_a_height_above_home_wher
     bench = GuidedBench(flies_by=off_by(local=(0.0, 0.0, 0.1), earth=(0.8, -0.5, 1.5)))
     bench.climb()
     assert bench.local()[2] == pytest.approx(-5.1, abs=0.03)
-    lat, lon = (round(1e7 * math.degrees(angle)) for angle in ORIGIN[:2])
+    lat, lon = (round(1e7 * math.degrees(angle)) for angle in SCENARIO_ORIGIN[:2])
     frames = ardupilotmega.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, ardupilotmega.MAV_FRAME_GLOBAL_INT
-    for frame, height, down in zip(frames, (6.0, ORIGIN.height + 6.0), (-6.1, -7.5), strict=True):
+    for frame, height, down in zip(frames, (6.0, SCENARIO_ORIGIN.height + 6.0), (-6.1, -7.5), strict=True):
         bench.ground.send(
             ardupilotmega.MAVLink_set_position_target_global_int_message(
                 0, 1, 1, frame, 0b110111111000, lat, lon, height, 0, 0, 0, 0, 0, 0, 0, 0
@@ -447,11 +447,11 @@ def test_it_reboots_on_command_on_the_ground_and_not_in_the_air():
 def test_every_phase_is_reached_from_the_ground_and_leads_back_and_no_motor_stops_in_the_air():
     def reached(phase: Phase) -> set[Phase]:
         found = {phase}
-        while more := {after for (before, _), after in TRANSITIONS.items() if before in found} - found:
+        while more := {after for (before, _), after in PHASE_TRANSITIONS.items() if before in found} - found:
             found |= more
         return found
 
     assert reached(Phase.ON_GROUND) == set(Phase)
     assert all(Phase.ON_GROUND in reached(phase) for phase in Phase)
-    disarmed = {before for (before, event) in TRANSITIONS if event is PilotEvent.DISARM}
+    disarmed = {before for (before, event) in PHASE_TRANSITIONS if event is PilotEvent.DISARM}
     assert not disarmed & {Phase.CLIMBING, Phase.FLYING, Phase.LANDING}

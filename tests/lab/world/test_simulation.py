@@ -16,13 +16,13 @@ from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera
+from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import BODY_FROM_CAMERA, CAMERA
 from swarmtrack.lab.sources import Simulation, open_simulation
 from swarmtrack.lab.world.rendering import Optics, Renderer
 from swarmtrack.lab.world.sensors import DetectorParameters, Imu, ImuParameters, detect, visible
 from swarmtrack.lab.world.trajectory import (
-    STANDARD_GRAVITY,
     Facing,
     Handover,
     Hover,
@@ -101,17 +101,17 @@ def test_the_body_rate_is_the_derivative_of_the_attitude_to_a_microradian_a_seco
 
 def test_an_accelerometer_reads_one_g_upwards_in_hover_and_what_is_missing_in_a_fall():
     hover = Trajectory(Hover((0.0, 0.0, -2.0)), SteadyYaw(0.7))
-    np.testing.assert_allclose(hover.specific_force(1.0), (0.0, 0.0, -STANDARD_GRAVITY), atol=1e-12)
+    np.testing.assert_allclose(hover.specific_force(1.0), (0.0, 0.0, -STANDARD_GRAVITY_M_S2), atol=1e-12)
 
     class Falling:
         def derivatives(self, t: float) -> Array:
-            a = 0.9 * STANDARD_GRAVITY
+            a = 0.9 * STANDARD_GRAVITY_M_S2
             return np.array([[0, 0, a * t * t / 2], [0, 0, a * t], [0, 0, a], [0, 0, 0]])
 
     force = Trajectory(Falling(), SteadyYaw(0.7)).specific_force(1.0)
-    np.testing.assert_allclose(force, (0.0, 0.0, -0.1 * STANDARD_GRAVITY), atol=1e-12)
+    np.testing.assert_allclose(force, (0.0, 0.0, -0.1 * STANDARD_GRAVITY_M_S2), atol=1e-12)
     with pytest.raises(ValueError, match="free fall"):
-        attitude_and_rate(np.array([0.0, 0.0, STANDARD_GRAVITY]), np.zeros(3), 0.0, 0.0)
+        attitude_and_rate(np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2]), np.zeros(3), 0.0, 0.0)
 
 
 def test_the_thrust_of_a_flying_quadrotor_lies_along_its_own_axis_and_its_nose_along_its_yaw():
@@ -296,7 +296,9 @@ def test_the_horizon_rolls_against_the_observer():
         renderer = Renderer(world, CAMERA, BODY_FROM_CAMERA, NO_NOISE)
         angles[acceleration] = horizon_angle(renderer.image(1, 0.0, 0))
     for acceleration in (2.0, -3.0):
-        roll = math.atan2(acceleration, STANDARD_GRAVITY)  # to the right for an acceleration to the right
+        roll = math.atan2(
+            acceleration, STANDARD_GRAVITY_M_S2
+        )  # to the right for an acceleration to the right
         # Against the level flight's: the skyline itself is a little slanted by its hills.
         assert angles[acceleration] - angles[0.0] == pytest.approx(-roll, abs=0.04)
 
