@@ -10,7 +10,7 @@ from swarmtrack.messages import SightingReport
 from swarmtrack.outputs import periods
 
 FRESH = 2.5 * periods.IDENTITIES
-MANY = 256  # teammates remembered: more is a flood
+MANY_TEAMMATES = 256  # teammates remembered: more is a flood
 
 
 class ReportedPosition(NamedTuple):
@@ -33,7 +33,7 @@ class ReportedPositions:
 
     def on_report(self, report: SightingReport) -> None:
         """A teammate says where it stands."""
-        if report.observer in self._reports or len(self._reports) < MANY:
+        if report.observer in self._reports or len(self._reports) < MANY_TEAMMATES:
             self._reports[report.observer] = report
 
     def seen(self, own: SightingReport | None, now: float) -> list[ReportedPosition]:

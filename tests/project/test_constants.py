@@ -1,6 +1,6 @@
 """One word, one constant: names of the library's constants bear their subject, and none is defined in two modules.
 
-Exempt for now: `identity`, and what of `relative` serves it. Names that begin with an underscore are their module's own.
+Exempt for now: `identity`, and what of `relative` serves it. A leading underscore: the module's own.
 """
 
 import ast
@@ -14,13 +14,14 @@ LIBRARY = ROOT / "swarmtrack"
 EXEMPT = {LIBRARY / "relative" / name for name in ("alignment.py", "frames.py", "gates.py")}
 # Words that do not say of what: alone, or with nothing but a unit behind them, they are no name.
 BARE = {
-    "AHEAD", "APART", "ATTEMPTS", "BACKLOG", "BATCH", "BLOCK", "BORDER", "CAREFUL", "COARSEST", "DOUBT", "ENOUGH", "EVERY",
-    "FAR", "FARTHEST", "FAST", "FASTER", "FASTEST", "FEWER", "FEWEST", "GAMMA", "GATE", "HALF", "HOLD", "HOLDS", "KEPT",
-    "KNOWN", "LARGE", "LARGEST", "LASTS", "LATE", "LEAST", "LIMIT", "LONGEST", "LOOK", "LOWEST", "MAGIC", "MANY", "MARGIN",
-    "MEMORY", "MOST", "NEAR", "NEAREST", "NOBODY", "NOTHING", "NOWHERE", "PATIENCE", "PERIOD", "PLACE", "QUIET", "RATE",
-    "REACH", "REMEMBERED", "RETRY", "ROUNDING", "SAME", "SEEN", "SETTLED", "SETTLES", "SHORT", "SHORTEST", "SIGMA", "SIGMAS",
-    "SILENT", "SLACK", "SLOWEST", "SMALL", "SMALLEST", "SOON", "SPEED", "STALE", "STEP", "STEPS", "STILL", "SURE", "SURELY",
-    "TELLING", "TICK", "TURNED", "UNKNOWN", "VAGUE", "WIDE", "WIDEST", "WINDOW", "WITHIN",
+    "AHEAD", "APART", "ATTEMPTS", "BACKLOG", "BATCH", "BLOCK", "BORDER", "CAREFUL", "COARSEST", "DOUBT", "ENOUGH",
+    "EVERY", "FAR", "FARTHEST", "FAST", "FASTER", "FASTEST", "FEWER", "FEWEST", "GAMMA", "GATE", "HALF", "HOLD",
+    "HOLDS", "KEPT", "KNOWN", "LARGE", "LARGEST", "LASTS", "LATE", "LEAST", "LIMIT", "LONGEST", "LOOK", "LOWEST",
+    "MAGIC", "MANY", "MARGIN", "MEMORY", "MOST", "NEAR", "NEAREST", "NOBODY", "NOTHING", "NOWHERE", "PATIENCE",
+    "PERIOD", "PLACE", "QUIET", "RATE", "REACH", "REMEMBERED", "RETRY", "ROUNDING", "SAME", "SEEN", "SETTLED",
+    "SETTLES", "SHORT", "SHORTEST", "SIGMA", "SIGMAS", "SILENT", "SLACK", "SLOWEST", "SMALL", "SMALLEST", "SOON",
+    "SPEED", "STALE", "STEP", "STEPS", "STILL", "SURE", "SURELY", "TELLING", "TICK", "TURNED", "UNKNOWN", "VAGUE",
+    "WIDE", "WIDEST", "WINDOW", "WITHIN",
 }  # fmt: skip
 UNIT = re.compile(r"_(S|MS|US|M|PX|PX2|RAD|DEG|HZ|M_S|M_S2|RAD_S|PER_S|BYTES)$")
 
