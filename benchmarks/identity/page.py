@@ -115,7 +115,8 @@ def markdown(result: Result) -> str:
         _aims(result),
         "## Every drone has a track, nobody else flies",
         _cells(result, [COMPLETE.name]),
-        f"*too wide*: layouts whose sweep would have more than {MARGINALS_MOST_OPEN_ROWS} rows open, so that pairs were left out.",
+        f"*too wide*: layouts whose sweep would have more than {MARGINALS_MOST_OPEN_ROWS} rows open, so that pairs"
+        " were left out.",
         "## Strangers and missed drones",
         f"*{AS_EXPECTED.name}*: a drone has a track with {AS_EXPECTED.p_seen:g}, strangers are Poisson with mean"
         f" {AS_EXPECTED.strangers:g}: the prior that agents have. *{CROWDED.name}*: {CROWDED.p_seen:g} and"
@@ -128,7 +129,8 @@ def markdown(result: Result) -> str:
         "Of the IDs given at or above a threshold (all cells): stated → right.",
         _thresholds(result),
         "## Sweeps that are too wide",
-        f"Layouts of the widest cell with {MARGINALS_MOST_OPEN_ROWS + 1} to {COMPARED_WIDTH} rows open, beside the exact marginals."
+        f"Layouts of the widest cell with {MARGINALS_MOST_OPEN_ROWS + 1} to {COMPARED_WIDTH} rows open, beside the"
+        " exact marginals."
         " *off*: the largest error of a probability in a layout, median and worst.",
         _thinned(result.thinned),
         "## Time of one posterior",

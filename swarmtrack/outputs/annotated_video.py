@@ -31,7 +31,7 @@ MAX_BACKLOG = 8  # frames waiting to be encoded, before a live camera's are drop
 FASTEST_VIDEO_HZ = 60.0  # no screen shows more
 USUAL_VIDEO_FPS = 30.0  # of what has a single frame
 
-LARGEST_PX = 2000  # radius of an ellipse
+ELLIPSE_MAX_RADIUS_PX = 2000  # radius of an ellipse
 
 
 def annotate(frame: Frame, t_s: float, tracks: list[DrawnTrack], trails: Trails | None = None) -> Image:
@@ -58,7 +58,7 @@ def _draw(image: Image, track: DrawnTrack, trail: NDArray[np.int32]) -> None:
     cv2.rectangle(image, corner, opposite, colour, 1 if track.is_lost else 2, cv2.LINE_AA)
     cv2.arrowedLine(image, centre, tip, colour, 1, cv2.LINE_AA, 0, 0.2)
     long, short, angle = track.ellipse
-    radii = max(1, min(round(long), LARGEST_PX)), max(1, min(round(short), LARGEST_PX))
+    radii = max(1, min(round(long), ELLIPSE_MAX_RADIUS_PX)), max(1, min(round(short), ELLIPSE_MAX_RADIUS_PX))
     cv2.ellipse(image, centre, radii, math.degrees(angle), 0, 360, colour, 1, cv2.LINE_AA)
     write_text(image, track.label, _whole(track.label_at(image.shape[1])), colour)
 

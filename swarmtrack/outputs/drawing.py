@@ -19,10 +19,10 @@ from swarmtrack.messages import FOREIGN, Array, IdentifiedTrack, Identity, ScanR
 from swarmtrack.outputs.palette import Rgb, colour_of
 from swarmtrack.relative.read_out import read_out
 
-AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
-SIGMAS = 3.0  # of an ellipse
+ARROW_AHEAD_S = 0.25  # s: how far an arrow shows where a track goes
+ELLIPSE_SIGMAS = 3.0  # of an ellipse
 TRAIL_S = 1.0  # s: how much of its path a track trails behind it
-UNKNOWN_PX = 20.0  # side of a box whose size is unknown
+UNKNOWN_BOX_PX = 20.0  # side of a box whose size is unknown
 LETTER_PX = 9  # width of a letter of a label
 LABEL_PX = 40  # height above a box that a label needs, beneath the line at the image's top
 
@@ -121,7 +121,7 @@ class DrawnTrack(NamedTuple):
     @property
     def box(self) -> Array:
         """Top left and bottom right, (2, 2)."""
-        half = 0.5 * np.where(np.isnan(self.size), UNKNOWN_PX, self.size)
+        half = 0.5 * np.where(np.isnan(self.size), UNKNOWN_BOX_PX, self.size)
         return np.array((self.centre - half, self.centre + half))
 
     @property
@@ -133,13 +133,13 @@ class DrawnTrack(NamedTuple):
     @property
     def arrow(self) -> Array:
         """From the centre to where the track will be a moment later, (2, 2)."""
-        return np.array((self.centre, self.centre + AHEAD_S * self.velocity))
+        return np.array((self.centre, self.centre + ARROW_AHEAD_S * self.velocity))
 
     @property
     def ellipse(self) -> tuple[float, float, float]:
         """Long and short radius, and the angle of the long one from u to v, rad."""
         variances, axes = np.linalg.eigh(self.cov)
-        short, long = SIGMAS * np.sqrt(np.maximum(variances, 0.0))
+        short, long = ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances, 0.0))
         return float(long), float(short), float(np.arctan2(axes[1, 1], axes[0, 1]))
 
 

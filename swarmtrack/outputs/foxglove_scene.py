@@ -45,7 +45,7 @@ from swarmtrack.messages import (
     ScanReport,
     TrackStatus,
 )
-from swarmtrack.outputs.drawing import SIGMAS, name_of
+from swarmtrack.outputs.drawing import ELLIPSE_SIGMAS, name_of
 from swarmtrack.outputs.palette import Rgb, colour_of
 from swarmtrack.recording.outputs import image_topic
 from swarmtrack.recording.writer import Topic
@@ -173,7 +173,7 @@ class FoxgloveScene:
         read = read_out(state.position, state.velocity, state.cov)
         variances, axes = np.linalg.eigh(state.cov[:3, :3])
         axes[:, 0] *= np.sign(np.linalg.det(axes))
-        diameters = np.maximum(2.0 * SIGMAS * np.sqrt(np.maximum(variances, 0.0)), LEAST_ELLIPSOID_M)
+        diameters = np.maximum(2.0 * ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances, 0.0)), LEAST_ELLIPSOID_M)
         label = state.position - (0.0, 0.0, 2.0 * DRONE_BALL_M)
         return SceneEntity(
             timestamp=stamp,

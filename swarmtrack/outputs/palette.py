@@ -20,11 +20,11 @@ DRONE_COLOURS: tuple[Rgb, ...] = (
     (204, 121, 167),
     (213, 219, 224),
 )
-STRANGER: Rgb = (255, 60, 60)
-UNKNOWN: Rgb = (200, 200, 200)
+STRANGER_COLOUR: Rgb = (255, 60, 60)
+UNKNOWN_COLOUR: Rgb = (200, 200, 200)
 
 
 def colour_of(identity: Identity) -> Rgb:
     if identity is None:
-        return UNKNOWN
-    return STRANGER if identity == FOREIGN else DRONE_COLOURS[(identity - 1) % len(DRONE_COLOURS)]
+        return UNKNOWN_COLOUR
+    return STRANGER_COLOUR if identity == FOREIGN else DRONE_COLOURS[(identity - 1) % len(DRONE_COLOURS)]
