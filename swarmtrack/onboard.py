@@ -292,11 +292,8 @@ class Onboard:
 
     def events(self) -> Sequence[Output]:
         """What came of it since the last call: the one way out."""
-        wanted = self._identities.take_wanted()
-        if not (self._events or wanted):
-            return ()
-        events, self._events = self._events, []
-        return [*events, *map(PoseWanted, wanted)]
+        events, self._events = tuple(self._events), []
+        return events
 
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None:
         """Whom this drone saw in its last scan; None where it does not know where it stands."""
@@ -517,7 +514,8 @@ class Onboard:
                 drone = disagreement.drone_id
                 self.counters.identities_overruled += 1
                 self._consensus.forget(drone)
-                self._identities.overrule(drone, report.t)
+                if self._identities.overrule(drone, report.t):
+                    self._events.append(PoseWanted(drone))
 
     def _hear_range(self, report: RangeReport) -> None:
         """A distance from this drone, by its own radio."""
@@ -560,8 +558,7 @@ class Onboard:
         self.camera_clocks[number].see(detections.t, scan, camera)
         self._watch_mounting(number, scan, orientation)
         is_known = number not in self._picture_turns.wrong
-        self._rig.update(number, scan, orientation)
-        self._events += self._rig.take_news()
+        self._events += self._rig.update(number, scan, orientation) or []
         self._orientation = orientation
         before = self._pictures.get(number)
         if before is None or not _is_same(before.detections, detections):
@@ -572,10 +569,11 @@ class Onboard:
         self.counters.detections += len(detections)
         tracks = self._rig.tracks(orientation)
         observer = self._ego.steady(t) if is_known else None
+        wanted: tuple[int, ...] = ()
         if observer is not None:
-            self._identities.observe(self._placeable(tracks), observer, number)
-            self._events += self._identities.take_astray()
-            for track_id in self._identities.take_vouched():
+            vouched, astray, wanted = self._identities.observe(self._placeable(tracks), observer, number)
+            self._events += astray
+            for track_id in vouched:
                 self._rig.vouch(track_id)
             self._watch_doubt(t)
             # A picture that has been the same for long tells nobody where anybody is now.
@@ -588,6 +586,7 @@ class Onboard:
         if observer is not None:
             labelled = self._in_metres(labelled, scan, observer, number)
         self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled), number))
+        self._events += map(PoseWanted, wanted)
 
     def _is_stuck(self, detections: Detections, orientation: Orientation) -> bool:
         """Whether a camera shows what it did although it has turned since: then this is no picture of now."""

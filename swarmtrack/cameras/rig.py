@@ -202,12 +202,14 @@ class Rig:
         self._arrived = {id: way for id, way in self._arrived.items() if not {way.giver, way.taker} & cameras}
         self._looks.clear()
 
-    def update(self, camera: int, scan: Scan, orientation: Orientation) -> bool:
+    def update(self, camera: int, scan: Scan, orientation: Orientation) -> list[SeamNews] | None:
         """Fold in a scan of a camera, orientation: when it was exposed: carry its tracks there, and take over what
-        should be in its picture. One that its tracker refuses (False, see `Tracker.update`) changes nothing."""
+        should be in its picture. Returns what is new of seams, each once. A scan that the camera's tracker refuses
+        (None, see `Tracker.update`) changes nothing."""
         tracker = self._cameras[camera].tracker
         if tracker.refuses(scan.t):
-            return tracker.update(scan)
+            tracker.update(scan)
+            return None
         self._predict(camera, scan.t, orientation)
         self._orientations[camera] = orientation
         self._newest = camera
@@ -220,7 +222,7 @@ class Rig:
             self._count_moves(camera, scan.t)
             self._keep_in_sight(camera, scan.t)
             self._end_unseen(scan.t)
-        return True
+        return self._seam_news()
 
     def _predict(self, camera: int, t: float, orientation: Orientation) -> None:
         """Carry one camera's tracks to its next exposure, and take over what should be in its picture then."""
@@ -392,8 +394,8 @@ class Rig:
                 self._seam(giver, taker).lost += 1
         return frozenset(crossed)
 
-    def take_news(self) -> list[SeamNews]:
-        """What there is to say of seams; each is returned once."""
+    def _seam_news(self) -> list[SeamNews]:
+        """Seams that are turned, or that tracks are lost at; each is returned once."""
         news = []
         for (first, second), seam in self._seams.items():
             if self._apart & {first, second}:

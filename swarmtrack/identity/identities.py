@@ -16,7 +16,8 @@ processes speak as one drone, that ID is assigned to no track.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,7 +38,7 @@ from swarmtrack.identity.self_doubt import SelfDoubt
 from swarmtrack.identity.standing import Event
 from swarmtrack.identity.team_fit import TeamFit
 from swarmtrack.identity.teammates import Teammates
-from swarmtrack.identity.weighing import PLACE_ALONE, Match, Weighing
+from swarmtrack.identity.weighing import PLACE_ALONE, Weighing
 from swarmtrack.messages import (
     AgreedMotion,
     Announcement,
@@ -55,6 +56,19 @@ from swarmtrack.relative.alignment import FrameTransform
 # s: what another camera saw so shortly before or after is part of what this drone sees now, until that camera looks
 # again.
 RECENT_S = 1.0
+
+
+class IdentityNews(NamedTuple):
+    """What a scan showed of identities, besides the names. vouched: the tracks that are a teammate although they
+    look weak; astray: the drones that motion finds elsewhere than they report; wanted: those that should announce their
+    pose again."""
+
+    vouched: tuple[int, ...]
+    astray: tuple[Astray, ...]
+    wanted: tuple[int, ...]
+
+
+NO_NEWS = IdentityNews((), (), ())
 
 
 class Identities:
@@ -165,14 +179,14 @@ class Identities:
         if event.drone_id in self._teammates.clashing:
             self._names.withdraw(event.drone_id, Event.CLASHED)
 
-    def overrule(self, drone_id: int, t: float) -> None:
+    def overrule(self, drone_id: int, t: float) -> bool:
         """Others see it elsewhere: no track is this drone until it announces itself again, or the dispute is old. What
-        motion proves is not for them to say."""
+        motion proves is not for them to say. Returns whether it should announce its pose again."""
         if self._weighing.proofs.track_of(drone_id) is not None:
-            return
+            return False
         self._names.withdraw(drone_id, Event.OVERRULED)
         self._disputes.overrule(drone_id, t)
-        self._pose_requests.put(drone_id)
+        return True
 
     # --- what this drone sees ---
 
@@ -191,7 +205,7 @@ class Identities:
         if self._parameters.profile != "paper":
             self._occlusion.turn_unmeasured()
 
-    def observe(self, tracks: Iterable[Track], observer: TeamPose, camera: int = 0) -> None:
+    def observe(self, tracks: Iterable[Track], observer: TeamPose, camera: int = 0) -> IdentityNews:
         """Look at all tracks after a scan of a camera, with this drone's own pose at its exposure."""
         t = observer.t
         self._view = view = ObserverCamera.of(observer, *self._cameras[camera], camera)
@@ -200,10 +214,13 @@ class Identities:
         self._disputes.forget(t)
         if self._parameters.profile == "paper":
             self._assign_nearest(view)
-        else:
-            self._occlusion.look(t)
-            self._names.remember_rays(view)
-            self._assign_by_posterior(view)
+            return NO_NEWS
+        self._occlusion.look(t)
+        self._names.remember_rays(view)
+        astray = self._watch(view)
+        vouched, disproved = self._assign_by_posterior(view)
+        wanted = self._pose_requests.of_this_scan()
+        return IdentityNews(tuple(sorted(vouched)), (*astray, *disproved), wanted)
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
@@ -220,18 +237,6 @@ class Identities:
             (seen_from(ray, latest(ray.drone_id).position, self._view), p)
             for ray, p in self._names.sightings_elsewhere(t, RECENT_S)
         ]
-
-    def take_vouched(self) -> tuple[int, ...]:
-        """The tracks that are a teammate although they look weak; each is returned once."""
-        return self._judgement.take_vouched()
-
-    def take_astray(self) -> tuple[Astray, ...]:
-        """The drones that motion finds elsewhere than they say; each is returned once."""
-        return self._judgement.take_astray()
-
-    def take_wanted(self) -> tuple[int, ...]:
-        """The drones that should announce their pose again; each is returned once."""
-        return self._pose_requests.take()
 
     def _labelled(self, track: Track) -> IdentifiedTrack:
         name, probability = self._names.stated_of(track)
@@ -262,9 +267,9 @@ class Identities:
             return track.status is TrackStatus.CONFIRMED
         return held.undecided and track.coasting_since is None
 
-    def _assign_by_posterior(self, view: ObserverCamera) -> None:
+    def _assign_by_posterior(self, view: ObserverCamera) -> tuple[list[int], list[Astray]]:
+        """Returns the tracks to vouch for, and the drones whose IDs motion disproves."""
         t = view.observer.t
-        self._watch(view)
         undecided = self._candidates.undecided()
         self._names.keep_unassigned(undecided, t)
         contested, held = self._candidates.contested(undecided, view)
@@ -285,24 +290,33 @@ class Identities:
         foreign &= not self._weighing.misses_somebody(predicted, p_drone)
         self._team_fit.look(tracks, predicted, p_drone, t)
         located = self._judgement.located(t)
+        vouched: list[int] = []
+        disproved: list[Astray] = []
         for i, track in enumerate(tracks):
             matches = self._weighing.matches(
                 i, track, predicted, t, p_drone=p_drone[i], p_seen=p_drone.sum(axis=0), ratios=ratios[i]
             )
-            self._judge(track, matches, t, seen_in=self._weighing.seen_in(i))
+            held = self._names.of(track.id)
+            if held is not None and track.coasting_since is None:
+                found = self._judgement.judge(held, matches, t)
+                disproved += [found] if found is not None else []
+            if self._is_candidate(track, seen_in=self._weighing.seen_in(i)):
+                vouched += [track.id] if self._judgement.assign_likeliest(track, matches, t) else []
             if self._names.of(track.id) is None and track.status is TrackStatus.CONFIRMED:
                 p = min(p_none[i], PLACE_ALONE)
                 may_be_foreign = foreign and not self._team_fit.may_be_missing(track, view)
                 self._judgement.leave_unassigned(
                     track, matches, p, t, may_be_foreign=may_be_foreign, located=located
                 )
+        return vouched, disproved
 
-    def _watch(self, view: ObserverCamera) -> None:
-        """What all tracks tell, named or not: how they move, and whether this drone is where it thinks it is."""
+    def _watch(self, view: ObserverCamera) -> list[Astray]:
+        """What all tracks tell, named or not: how they move, and whether this drone is where it thinks it is. Returns
+        the drones that are elsewhere than they report."""
         whereabouts = self._teammates.whereabouts
         places = {drone: whereabouts.latest(drone) for drone in self._teammates.announced}
         self._weighing.watch(self._names.alive, view, places)
-        self._judgement.call_out(view, places)
+        astray = self._judgement.call_out(view, places)
         if self._shows_most(view.number):
             self._self_doubt.look(
                 self._names.shown,
@@ -323,6 +337,7 @@ class Identities:
                 if not proofs.lasts(held.track_id, held.drone_id, t):
                     self._names.fire(held, Event.SELF_DOUBTED)
                     held.weaken(0.0)
+        return astray
 
     def _shows_most(self, camera: int) -> bool:
         """Whether that camera shows as many tracks as any: of several, one that sees nobody would tell that nothing is
@@ -332,11 +347,7 @@ class Identities:
             shown[track.camera] += track.status is TrackStatus.CONFIRMED
         return camera == shown.index(max(shown))
 
-    def _judge(self, track: Track, matches: Mapping[int, Match], t: float, *, seen_in: int) -> None:
-        """One track, by what it may be: its name is judged, or it gets one."""
-        held = self._names.of(track.id)
-        if held is not None and track.coasting_since is None:
-            self._judgement.judge(held, matches, t)
+    def _is_candidate(self, track: Track, *, seen_in: int) -> bool:
+        """Whether a track may get a name: one without, that was detected in enough scans."""
         is_new = self._names.of(track.id) is None and track.status is not TrackStatus.LOST
-        if is_new and seen_in >= self._parameters.scans:
-            self._judgement.assign_likeliest(track, matches, t)
+        return is_new and seen_in >= self._parameters.scans

@@ -64,24 +64,13 @@ class Judgement:
         self._occlusion = occlusion
         self._team_fit = team_fit
         self._self_doubt = self_doubt
-        self._vouched: set[int] = set()
-        self._astray: list[Astray] = []
 
-    def take_vouched(self) -> tuple[int, ...]:
-        """The tracks that are a teammate although they look weak; each is returned once."""
-        vouched, self._vouched = tuple(sorted(self._vouched)), set()
-        return vouched
-
-    def take_astray(self) -> tuple[Astray, ...]:
-        """The drones that motion finds elsewhere than they say; each is returned once."""
-        astray, self._astray = tuple(self._astray), []
-        return astray
-
-    def call_out(self, view: ObserverCamera, places: Mapping[int, Announcement]) -> None:
-        """Whoever motion finds elsewhere than it says is from now on not placed by that."""
-        for found in self._weighing.proofs.astray(self._names.shown, view, places):
-            self._astray.append(found)
+    def call_out(self, view: ObserverCamera, places: Mapping[int, Announcement]) -> list[Astray]:
+        """The drones that motion finds elsewhere than they report: from now on they are not placed by that."""
+        astray = self._weighing.proofs.astray(self._names.shown, view, places)
+        for found in astray:
             self._teammates.whereabouts.doubt(found.drone_id, found.miss_m or 0.0)
+        return astray
 
     # --- what the past of a name says, before the posterior is made ---
 
@@ -122,19 +111,25 @@ class Judgement:
 
     # --- what the posterior says ---
 
-    def judge(self, held: Assignment, matches: Mapping[int, Match], t: float) -> None:
-        """Confirm, doubt or refute an ID that is undecided, or that a newcomer contests."""
+    def judge(self, held: Assignment, matches: Mapping[int, Match], t: float) -> Astray | None:
+        """Confirm, doubt or refute an ID that is undecided, or that a newcomer contests. Returns its drone where motion
+        disproves the ID."""
+        match = matches.get(held.drone_id)
+        if held.standing is not Standing.SETTLED:
+            held.scans += 1
+            if held.scans >= self._parameters.scans:
+                self._judge_undecided(held, match, matches, t)
+            return None
+        if match is None or match.probability >= self._parameters.probability:
+            return None
+        disproved = self._weighing.disproves(held.track_id, held.drone_id)
+        self._doubt(held, matches, t)
+        return Astray(held.drone_id, held.track_id, None) if disproved else None
+
+    def _judge_undecided(
+        self, held: Assignment, match: Match | None, matches: Mapping[int, Match], t: float
+    ) -> None:
         drone, p = held.drone_id, self._parameters.probability
-        match = matches.get(drone)
-        if held.standing is Standing.SETTLED:
-            if match is not None and match.probability < p:
-                if self._weighing.disproves(held.track_id, drone):
-                    self._astray.append(Astray(drone, held.track_id, None))
-                self._doubt(held, matches, t)
-            return
-        held.scans += 1
-        if held.scans < self._parameters.scans:
-            return
         has_rival = any(other.probability > LIKELY for id, other in matches.items() if id != drone)
         sure = p if has_rival or held.log_odds < HELD_LOG_ODDS else 0.5
         if match is None:
@@ -149,18 +144,17 @@ class Judgement:
         else:
             self._ask(matches, t)
 
-    def assign_likeliest(self, track: Track, matches: Mapping[int, Match], t: float) -> None:
-        """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it. One that looks too
-        weak for a track is vouched for, and named once the tracker agrees."""
+    def assign_likeliest(self, track: Track, matches: Mapping[int, Match], t: float) -> bool:
+        """Whichever track had this ID loses it: of two tracks of one drone the likelier one is it. Returns whether it
+        is likely enough, but looks too weak for a track: it is to be vouched for, and named once the tracker agrees."""
         drone = max(matches, key=lambda drone: matches[drone].probability, default=None)
         if drone is None or not self._may_be_named(track, drone, t):
-            return
+            return False
         match = matches[drone]
         if match.probability < self._weighing.sure(drone, self._parameters.probability):
-            return
+            return False
         if track.status is TrackStatus.TENTATIVE:
-            self._vouched.add(track.id)
-            return
+            return True
         before = self._names.lost.get(drone) or self._names.holder(drone)
         self._names.withdraw(drone, Event.REASSIGNED)
         held = Assignment(track.id, drone, match.probability)
@@ -168,6 +162,7 @@ class Judgement:
         self._believe(held, match, t)
         if before is not None:
             self._occlusion.verify(before, t)
+        return False
 
     def located(self, t: float) -> set[int]:
         """The drones that have just said where they are."""

@@ -21,7 +21,7 @@ class _Asked:
 
 
 class PoseRequests:
-    """Collects requests until they are taken. One that settles nothing is repeated, more and more rarely."""
+    """Collects the requests of one scan. One that settles nothing is repeated, more and more rarely."""
 
     def __init__(self) -> None:
         self._waiting: set[int] = set()
@@ -50,8 +50,8 @@ class PoseRequests:
         """The matter is settled."""
         self._asked.pop(drone_id, None)
 
-    def take(self) -> tuple[int, ...]:
-        """The drones to ask, each once."""
+    def of_this_scan(self) -> tuple[int, ...]:
+        """The drones to ask, each once; the next scan begins with none."""
         if not self._waiting:
             return ()
         waiting, self._waiting = tuple(sorted(self._waiting)), set()

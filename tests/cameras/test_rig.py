@@ -45,6 +45,7 @@ class Drone:
         self.gyro = GyroHistory()
         self.span = span
         self.yaw = self.t = 0.0
+        self.news = []
         self.gyro.append(0.0, (0.0, 0.0, 0.0))
 
     def turn(self, rate, seconds, hz=200.0):
@@ -74,7 +75,7 @@ class Drone:
             size=np.column_stack([width, 0.5 * width]),
             score=np.full(len(width), 0.9),
         )
-        self.rig.update(camera, scan, orientation)
+        self.news += self.rig.update(camera, scan, orientation) or []
 
     def tracks(self):
         found = self.rig.at(self.t, self.gyro.orientation(self.t))
@@ -288,7 +289,7 @@ def test_a_scan_that_is_refused_leaves_the_rig_as_it_was(tracker, late_s):
     shown = [(each.id, each.camera, *each.mean) for each in rig.at(drone.t, now)]
     # The first camera has the one that both see: a scan of the second would take it over.
     refused = Scan(last - late_s, np.array([[10.0, 10.0]]))
-    assert not rig.update(1, refused, drone.gyro.orientation(last - 0.03))
+    assert rig.update(1, refused, drone.gyro.orientation(last - 0.03)) is None
     assert beliefs(rig) == before
     assert [(each.id, each.camera, *each.mean) for each in rig.at(drone.t, now)] == shown
     assert rig.counters["late_scans"] == late + 1
@@ -371,15 +372,13 @@ def test_a_turn_that_is_worth_a_word_is_said_once():
         poses[0],
         Pose(poses[1].rotation @ rotation.exp([0.0, math.radians(2.0), 0.0]), np.zeros(3)),
     ]
-    news = []
     for rate in (0.0, *[1.0, -1.0] * 8):
         for _ in range(15):
             drone.turn(rate, 0.05)
             drone.look(0)
             drone.turn(rate, 0.016)
             drone.look(1)
-            news += rig.take_news()
-    ((first, second, turn, body_from_second),) = news
+    ((first, second, turn, body_from_second),) = drone.news
     assert (first, second) == (0, 1)
     # Rays turn against the camera.
     assert math.degrees(turn.angle[1]) == pytest.approx(-2.0, abs=0.5)
@@ -391,20 +390,18 @@ def test_cameras_whose_cables_are_swapped_do_not_fit_together_and_that_is_said()
     poses = [looking(-40.0), looking(40.0)]
     rig = rig_of("mbm", *poses)
     drone = Drone(rig, poses[::-1], [[6.0, -1.0, 0.3], [7.0, 1.5, -0.6]])
-    news = []
     for rate in (0.0, *[1.0, -1.0, -1.0, 1.0] * 3):
         for _ in range(30):
             drone.turn(rate, 0.05)
             drone.look(0)
             drone.turn(rate, 0.016)
             drone.look(1)
-            news += rig.take_news()
-    assert news == [(0, 1, None, None)]
+    assert drone.news == [(0, 1, None, None)]
 
 
 def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), seed=2, told_deg=1.0, hz=15.0):
     """A drone 5 m away stays where two pictures overlap, the second of which is turned by so much beside what it is
-    told; each camera looks hz times per second. Returns the rig, how far rays to it are off in the end [deg], and of
+    told; each camera looks hz times per second. Returns the drone, how far rays to it are off in the end [deg], and of
     the last two thirds the RMS error of its track [px] and the sigma that it claims."""
     poses = [looking(-40.0), looking(40.0, (0.0, baseline, 0.0))]
     rng = np.random.default_rng(seed)
@@ -430,26 +427,26 @@ def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), see
     ray = poses[1].rotation.T @ (target - poses[1].position)
     left = turn + (found.angle if found else 0.0)
     off = math.degrees(np.linalg.norm(np.cross(left, ray / np.linalg.norm(ray))))
-    return rig, off, math.sqrt((np.array(errors) ** 2).sum(axis=1).mean()), math.sqrt(np.mean(claimed))
+    return drone, off, math.sqrt((np.array(errors) ** 2).sum(axis=1).mean()), math.sqrt(np.mean(claimed))
 
 
 def test_a_drone_that_stays_where_two_pictures_overlap_tells_how_they_are_turned():
     _, _, alone, _ = hover_in_the_overlap(2.0, seconds=20.0, cameras=(0,))
-    rig, off, together, claimed = hover_in_the_overlap(2.0, seconds=40.0)
+    drone, off, together, claimed = hover_in_the_overlap(2.0, seconds=40.0)
     assert off < 0.3
     # Two cameras see twice as much as one, and do not pull the track to and fro.
     assert together < 1.05 * alone
     assert together < 1.5 * claimed
-    found = rig.found_turns[0, 1]
+    found = drone.rig.found_turns[0, 1]
     assert (found.crossings, found.compared > 200) == (0, True)
-    ((first, second, turn, _),) = rig.take_news()
+    ((first, second, turn, _),) = drone.news
     assert (first, second) == (0, 1)
     assert math.degrees(np.linalg.norm(turn.angle)) > 0.5
 
 
 def test_cameras_that_look_twice_per_second_each_tell_it_as_well():
-    rig, off, together, claimed = hover_in_the_overlap(2.0, seconds=40.0, hz=2.5)
-    assert rig.found_turns[0, 1].compared > 40
+    drone, off, together, claimed = hover_in_the_overlap(2.0, seconds=40.0, hz=2.5)
+    assert drone.rig.found_turns[0, 1].compared > 40
     assert off < 0.5
     assert together < 1.2 * claimed
 
@@ -457,9 +454,9 @@ def test_cameras_that_look_twice_per_second_each_tell_it_as_well():
 def test_what_a_hovering_drone_tells_ends_with_how_well_its_distance_and_its_middle_are_known():
     sigmas = []
     for baseline in (0.0, 0.2):
-        rig, *_ = hover_in_the_overlap(0.0, seconds=15.0, baseline=baseline)
+        drone, *_ = hover_in_the_overlap(0.0, seconds=15.0, baseline=baseline)
         flow = optical_flow(np.array([[60.0, 240.0]]), CAMERA)[0]
-        (seam,) = rig._seams.values()
+        (seam,) = drone.rig._seams.values()
         sigmas.append(math.sqrt((flow @ seam._cov @ flow.T)[0, 0]))
     # px: a pixel of the middle of its box, and half of the parallax of 0.2 m.
     assert 0.9 < sigmas[0] < 1.6
@@ -512,14 +509,12 @@ def test_a_camera_that_is_mounted_upside_down_is_said_and_the_others_go_on():
     drone = Drone(rig, poses, [[6.0, 2.0, -1.0], [5.0, 6.0, 0.8], [-3.0, 6.0, 0.9]])
     upside_down = Pose(poses[1].rotation @ rotation.exp([0.0, 0.0, math.pi]), poses[1].position)
     drone.poses = [poses[0], upside_down, poses[2]]
-    news = []
     for rate in (0.0, *[-0.8, 0.8] * 7):
         for k in range(60):
             drone.turn(rate, 0.033)
             drone.look(k % 3)
-            news += rig.take_news()
-    assert {(one.first, one.second) for one in news} == {(0, 1), (1, 2)}
-    assert all(one.turn is None for one in news)
+    assert {(one.first, one.second) for one in drone.news} == {(0, 1), (1, 2)}
+    assert all(one.turn is None for one in drone.news)
     # What the first and the third show has a track each, where it is.
     for camera in (0, 2):
         pixels, inside = drone.seen_by(camera, drone.yaw)

@@ -101,7 +101,7 @@ def test_a_switch_thrown_by_mistake_takes_no_name():
     while watching.t < 29.5:
         a, b = np.array([LEFT, RIGHT]) + 0.5 * rng.standard_normal((2, 2))
         names = watching.sees(SCAN_S, a=tuple(a), b=tuple(b))
-        told += watching.identities.take_astray()
+        told += watching.news.astray
         if watching.t > 1.0:
             assert names == {"a": 2, "b": 3}
     assert told == []

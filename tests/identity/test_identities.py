@@ -25,7 +25,7 @@ def test_a_drone_is_named_where_it_said_it_is_once_its_track_is_confirmed_and_se
 def test_a_weak_look_alike_is_vouched_for_where_a_drone_should_be_and_named_once_it_is_confirmed(observer):
     away = (320.0, 40.0)
     assert observer.sees(1.0, tentative="abc", a=LEFT, b=RIGHT, c=away) == {"a": None, "b": None, "c": None}
-    assert observer.identities.take_vouched() == (1, 2)
+    assert observer.news.vouched == (1, 2)
     assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
 
@@ -287,7 +287,7 @@ def test_whoever_is_asked_in_vain_is_asked_again_within_a_minute_however_long_it
     requests, asked = PoseRequests(), []
     for second in range(3600):
         requests.ask(2, float(second))
-        asked += [second for _ in requests.take()]
+        asked += [second for _ in requests.of_this_scan()]
     assert 60 < len(asked) < 120
     assert np.diff(asked).max() < 60
 
@@ -312,10 +312,10 @@ def test_where_all_is_clear_nobody_is_asked(observer):
     assert observer.wanted == []
 
 
-def test_each_question_is_told_once(observer):
-    observer.identities.overrule(2, observer.t)
-    assert observer.identities.take_wanted() == (2,)
-    assert observer.identities.take_wanted() == ()
+def test_a_drone_that_others_overrule_should_announce_itself_again_and_is_asked_once(observer):
+    assert observer.identities.overrule(2, observer.t)
+    observer.sees(SCAN_S, a=LEFT, b=RIGHT)
+    assert observer.wanted == []
 
 
 def test_whom_others_overruled_is_not_named_again_before_it_is_heard(observer):

@@ -7,7 +7,7 @@ import numpy as np
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import Identities
+from swarmtrack.identity.identities import NO_NEWS, Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement, MotionReport, SightingReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
@@ -45,6 +45,8 @@ class Observer:
         self.attitude_sigma = 0.01
         self.tracks = []
         self.coasting = {}
+        self.news = NO_NEWS
+        """Of the last scan."""
         self.wanted = []
         self.sizes = {}
         self.moving = 0.0
@@ -87,7 +89,7 @@ class Observer:
                 self._track(name, pixel, name in tentative)._replace(camera=camera ^ (name in elsewhere))
                 for name, pixel in tracks.items()
             ]
-            self.identities.observe(
+            self.news = self.identities.observe(
                 self.tracks,
                 TeamPose(
                     self.t,
@@ -98,7 +100,7 @@ class Observer:
                 ),
                 camera,
             )
-            self.wanted += [(self.t, drone) for drone in self.identities.take_wanted()]
+            self.wanted += [(self.t, drone) for drone in self.news.wanted]
         return self.names()
 
     def names(self):

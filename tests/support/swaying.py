@@ -41,7 +41,7 @@ class Sway:
                     self._report(drone, at(pixel) + swaying(self.said[drone], t), t)
             pixels = {name: self._pixel(name, t) for name in self.places}
             names = self.observer.sees(SCAN_S, coasting=self.missed, **pixels)
-            self.told += self.observer.identities.take_astray()
+            self.told += self.observer.news.astray
         return names
 
     def _say(self, drone, sway, t):
