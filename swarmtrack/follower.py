@@ -14,7 +14,7 @@ from swarmtrack.formation.formation import Formation, lowest
 from swarmtrack.formation.parameters import FormationParameters
 from swarmtrack.formation.setpoint import STANDSTILL, Setpoint, Velocity, Why
 from swarmtrack.messages import TrackList
-from swarmtrack.perceived import Perceived
+from swarmtrack.perceived import FormationView
 
 
 class Engagement(NamedTuple):
@@ -41,7 +41,7 @@ class Follower:
         self.formation = Formation(parameters)
         self._engaged = 0
 
-    def command(self, perceived: Perceived, tracks: TrackList, engagement: Engagement) -> LocalSetpoint:
+    def command(self, perceived: FormationView, tracks: TrackList, engagement: Engagement) -> LocalSetpoint:
         """What to fly from `tracks.t` on; standing still where it is not engaged."""
         t = tracks.t
         if engagement.number != self._engaged:

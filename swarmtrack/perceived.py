@@ -1,71 +1,149 @@
-"""What may be read of a drone's perception, by anyone and at any time: nothing of it changes anything.
+"""What each reader reads of a drone's perception: one view per reader, with only what it uses.
 
-Whoever gets this instead of `Onboard` has no second way in; what each member says is told there.
+Nothing of a view changes anything, so it may be read at any time. `Onboard` implements them all; what each member
+means is stated there.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from swarmtrack.cameras.rig import ExpectedTracks
 from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement, Array, MotionReport, RelativeState, SightingReport, Track
+from swarmtrack.messages import Announcement, Array, MotionReport, RelativeState, SightingReport
 from swarmtrack.motion.ego import TeamPose
-from swarmtrack.motion.gyro import GyroHistory
-from swarmtrack.motion.gyro_bias import BiasEstimate
-from swarmtrack.motion.time_offset import CameraClock
-from swarmtrack.onboard import Counters
+from swarmtrack.motion.gyro import Orientation
+from swarmtrack.motion.gyro_bias import KnownGyroBias
+from swarmtrack.motion.time_offset import OffsetEstimate
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
 
 
-class Perceived(Protocol):
-    """Implemented by `Onboard`."""
+@dataclass(slots=True)
+class Counters:
+    """What Onboard refused, and why; published with the health."""
+
+    late_scans: int = 0
+    """Older than the last scan, or than the gyro history."""
+    scans_ahead_of_gyro: int = 0
+    """Tracked on the gyro's last rate, because it was silent for longer than `MAX_WAIT`."""
+    stuck_scans: int = 0
+    """The same picture again, although the drone has turned."""
+    scans: int = 0
+    detections: int = 0
+    announcements_refused: int = 0
+    identities_overruled: int = 0
+    """Given up because other observers see that drone elsewhere."""
+
+
+class ClockView(Protocol):
+    """A camera's clock against the gyro's."""
 
     @property
-    def camera(self) -> PinholeCamera: ...
+    def found(self) -> OffsetEstimate | None: ...
+    @property
+    def used_s(self) -> float: ...
+
+
+class TrackerView(Protocol):
+    """Whether a tracker is as good as it states, and what it has learned of the noise."""
+
+    @property
+    def consistency(self) -> Consistency | None: ...
+    @property
+    def measured_noise(self) -> MeasuredNoise | None: ...
+
+
+class PerceivedCamera(Protocol):
+    """One of the drone's cameras."""
+
+    @property
+    def lens(self) -> PinholeCamera: ...
     @property
     def body_from_camera(self) -> Pose: ...
     @property
-    def camera_clock(self) -> CameraClock: ...
+    def clock(self) -> ClockView: ...
     @property
-    def lenses(self) -> tuple[PinholeCamera, ...]: ...
+    def tracker(self) -> TrackerView: ...
+
+
+class GyroView(Protocol):
+    """How the first camera turned."""
+
+    def orientation(self, t: float) -> Orientation: ...
+
+
+class CamerasView(Protocol):
+    """For whoever needs the cameras alone."""
+
     @property
-    def mountings(self) -> tuple[Pose, ...]: ...
+    def cameras(self) -> Sequence[PerceivedCamera]: ...
+
+
+class DetectorView(CamerasView, Protocol):
+    """For the detector: where it should look, and how the picture has turned."""
+
     @property
-    def camera_clocks(self) -> tuple[CameraClock, ...]: ...
+    def gyro(self) -> GyroView: ...
+
+    def expected(self, t: float, camera: int) -> ExpectedTracks: ...
+
+
+class VideoView(CamerasView, Protocol):
+    """For live video: where a frame was exposed."""
+
+    def camera_pose(self, t: float, camera: int = 0) -> Pose | None: ...
+
+
+class HealthView(CamerasView, Protocol):
+    """For health: what is estimated of the sensors, and what is counted."""
+
     @property
-    def gyro(self) -> GyroHistory: ...
-    @property
-    def gyro_bias(self) -> BiasEstimate | None: ...
-    @property
-    def gyro_bias_used(self) -> Array: ...
-    @property
-    def scan_t(self) -> float | None: ...
-    @property
-    def has_waiting(self) -> bool: ...
-    @property
-    def consistencies(self) -> tuple[Consistency | None, ...]: ...
-    @property
-    def measured_noises(self) -> tuple[MeasuredNoise | None, ...]: ...
+    def gyro_bias(self) -> KnownGyroBias: ...
     @property
     def self_doubt(self) -> bool: ...
-    @property
-    def teammates(self) -> dict[int, Announcement]: ...
-    @property
-    def team_from_local(self) -> Array: ...
     @property
     def counters(self) -> Counters: ...
     @property
     def part_counters(self) -> dict[str, int]: ...
 
-    def carried(self, t: float) -> tuple[Track, ...]: ...
-    def ego_pose(self, t: float) -> TeamPose | None: ...
-    def expected(self, t: float, camera: int) -> ExpectedTracks: ...
-    def camera_pose(self, t: float, camera: int = 0) -> Pose | None: ...
+
+class FormationView(Protocol):
+    """For a follower: its own flight, and all that it must keep clear of."""
+
+    @property
+    def team_from_local(self) -> Array: ...
+
     def anybody(self, now: float) -> dict[int, RelativeState]: ...
     def own_flight(self, now: float) -> OwnFlight | None: ...
+
+
+class ReportsView(Protocol):
+    """What this drone reports to its team."""
+
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None: ...
     def motion_report(self, boot: str, sequence: int) -> MotionReport | None: ...
+
+
+class PilotView(ReportsView, Protocol):
+    """For the pilot's notices: how much of the team is seen, and where."""
+
+    @property
+    def teammates(self) -> dict[int, Announcement]: ...
+
+
+class TeamView(CamerasView, ReportsView, Protocol):
+    """For teamwork: what is published."""
+
+    def ego_pose(self, t: float) -> TeamPose | None: ...
+
+
+class Perceived(DetectorView, VideoView, HealthView, FormationView, PilotView, TeamView, Protocol):
+    """All views, for those who hand them on."""
+
+    @property
+    def has_waiting(self) -> bool: ...

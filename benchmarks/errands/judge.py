@@ -152,7 +152,7 @@ class FlightJudge:
 
     def see(self, scan: ObservedScan) -> None:
         onboard = self._swarm.onboard(scan.observer)
-        clock = onboard.camera_clock
+        clock = onboard.cameras[0].clock
         record = self.clocks[scan.observer]
         record.see(scan.t, clock)
         self._distances(scan, self._truth.view(scan.observer, scan.t))
@@ -163,7 +163,7 @@ class FlightJudge:
             if drone_id != scan.observer:
                 self._meet(scan, drone_id, shown)
         period = int(scan.t // NIS_EVERY_S)
-        consistency = onboard.consistencies[0]
+        consistency = onboard.cameras[0].tracker.consistency
         if scan.t > record.turns_from and period != self._nis_judged.get(scan.observer) and consistency:
             self._nis_judged[scan.observer] = period
             self.nis.append(2.0 * consistency.nis / (consistency.low + consistency.high))

@@ -42,7 +42,7 @@ from swarmtrack.cameras.priors import (
 )
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.messages import Array, Scan
+from swarmtrack.messages import Array, IdentifiedTrack, Scan, Track
 from swarmtrack.motion.bearing_filters import BearingFilters, bearings_of, is_lapse, likelihoods
 from swarmtrack.motion.gyro import Orientation, rotation_between
 from swarmtrack.motion.priors import BEARING_AGILITIES
@@ -101,6 +101,21 @@ class PictureTurns:
         self.wrong = self.wrong - {number} if fits else self.wrong | {number}
         like = self._others[number][turn.found - 1] if turn.found else None
         return MountingNews(scan.t, number, fits, like)
+
+    def placeable(self, tracks: tuple[Track, ...]) -> tuple[Track, ...]:
+        """Those that are where they seem to be."""
+        if not self.wrong:
+            return tracks
+        return tuple(track for track in tracks if track.camera not in self.wrong)
+
+    def without_names(self, tracks: tuple[IdentifiedTrack, ...]) -> tuple[IdentifiedTrack, ...]:
+        """The same tracks, without the names of those that are not where they seem to be."""
+        if not self.wrong:
+            return tracks
+        return tuple(
+            IdentifiedTrack(entry.track, None, 0.0) if entry.track.camera in self.wrong else entry
+            for entry in tracks
+        )
 
 
 class PictureTurn:

@@ -10,7 +10,7 @@ import numpy as np
 
 from swarmtrack.messages import Array
 from swarmtrack.motion.gyro import rotation_between
-from swarmtrack.perceived import Perceived
+from swarmtrack.perceived import DetectorView
 
 # By which two pictures may miss each other and still be compared.
 BLURRED_PX = 3.0
@@ -35,11 +35,11 @@ class Expectation(Protocol):
 class PerceivedExpectation:
     """By the tracks and the gyro of one drone, for one of its cameras."""
 
-    def __init__(self, perceived: Perceived, camera: int = 0) -> None:
+    def __init__(self, perceived: DetectorView, camera: int = 0) -> None:
         """camera: for the frames of which of the drone's, by its place in the config."""
         self._perceived = perceived
         self._camera = camera
-        self._lens = perceived.lenses[camera]
+        self._lens = perceived.cameras[camera].lens
 
     def boxes(self, exposed: float) -> Array:
         perceived = self._perceived
@@ -60,8 +60,8 @@ class PerceivedExpectation:
         matrix = turn.matrix
         if self._camera:
             # The gyro's axes are the first camera's.
-            mountings = self._perceived.mountings
-            own = mountings[self._camera].rotation.T @ mountings[0].rotation
+            cameras = self._perceived.cameras
+            own = cameras[self._camera].body_from_camera.rotation.T @ cameras[0].body_from_camera.rotation
             matrix = own @ matrix @ own.T
 
         def earlier(pixels: Array) -> Array:
@@ -72,4 +72,4 @@ class PerceivedExpectation:
 
     @property
     def _offset_s(self) -> float:
-        return self._perceived.camera_clocks[self._camera].used_s
+        return self._perceived.cameras[self._camera].clock.used_s

@@ -120,6 +120,11 @@ class Identities:
         return self._self_doubt.said
 
     @property
+    def has_own_clash(self) -> bool:
+        """Whether another process uses this drone's ID."""
+        return bool(self._teammates.own_clash)
+
+    @property
     def announced(self) -> dict[int, Announcement]:
         """The latest announcement of every teammate."""
         return dict(self._teammates.announced)
@@ -296,9 +301,9 @@ class Identities:
             matches = self._weighing.matches(
                 i, track, predicted, t, p_drone=p_drone[i], p_seen=p_drone.sum(axis=0), ratios=ratios[i]
             )
-            held = self._names.of(track.id)
-            if held is not None and track.coasting_since is None:
-                found = self._judgement.judge(held, matches, t)
+            assigned = self._names.of(track.id)
+            if assigned is not None and track.coasting_since is None:
+                found = self._judgement.judge(assigned, matches, t)
                 disproved += [found] if found is not None else []
             if self._is_candidate(track, seen_in=self._weighing.seen_in(i)):
                 vouched += [track.id] if self._judgement.assign_likeliest(track, matches, t) else []

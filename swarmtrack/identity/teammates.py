@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Set
 
+from swarmtrack.identity.own_clash import OwnClash
 from swarmtrack.identity.whereabouts import Whereabouts
 from swarmtrack.messages import Announcement, IdClash, Membership, PeerArrived, PeerDeparted, PeerExpelled
 
@@ -18,6 +19,7 @@ class Teammates:
     def __init__(self, drone_id: int) -> None:
         """drone_id: our own."""
         self.whereabouts = Whereabouts()
+        self.own_clash = OwnClash(drone_id)
         self._drone_id = drone_id
         self._unannounced: set[int] = set()
         self._departed: set[int] = set()
@@ -56,6 +58,7 @@ class Teammates:
 
     def on_membership(self, event: Membership) -> None:
         """Who lives."""
+        self.own_clash.on_membership(event)
         drone = event.drone_id
         match event:
             case PeerArrived():

@@ -63,6 +63,10 @@ class TeamPose:
         """Of the tilt, per axis [rad]."""
         return math.sqrt(float(self.attitude_cov[0, 0]))
 
+    def vaguer(self, sigma_m: float) -> TeamPose:
+        """The same, with so much more uncertainty of the position, m per axis."""
+        return replace(self, position_cov=self.position_cov + sigma_m**2 * _EYE)
+
     def moved(self, by: Array) -> TeamPose:
         """The same, and elsewhere by (3,) m."""
         return replace(self, position=self.position + by)

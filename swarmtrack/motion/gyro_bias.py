@@ -38,6 +38,13 @@ class BiasEstimate(NamedTuple):
     sigma: float
 
 
+class KnownGyroBias(NamedTuple):
+    """found: estimated in flight, None while nothing is; used (3,) rad/s: what is taken off every sample."""
+
+    found: BiasEstimate | None
+    used: Array
+
+
 class GyroBias:
     """Compares a gyro with attitudes, and takes the bias off it once that is sure."""
 
@@ -66,6 +73,13 @@ class GyroBias:
         """What the flight so far says; None before it says more than anybody would guess."""
         sigma = math.sqrt(self._v)
         return BiasEstimate(self._bias, sigma) if sigma < 0.5 * BIAS_PRIOR_SIGMA_RAD_S else None
+
+    def known_in(self, axes: Array) -> KnownGyroBias:
+        """What is known, in other axes (3, 3), from camera axes."""
+        found = self.found
+        return KnownGyroBias(
+            found and found._replace(bias=axes @ found.bias), np.asarray(axes @ self._gyro.bias)
+        )
 
     @property
     def counters(self) -> dict[str, int]:

@@ -22,7 +22,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import Image
 from swarmtrack.outputs import periods
-from swarmtrack.perceived import Perceived
+from swarmtrack.perceived import VideoView
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.fields import MAX_JPEG, WIRE_VERSION
@@ -45,7 +45,7 @@ class LiveVideo:
     def __init__(
         self,
         transport: Transport,
-        perceived: Perceived,
+        perceived: VideoView,
         lenses: Sequence[PinholeCamera],
         drops: Counter[str],
         *,
@@ -72,7 +72,7 @@ class LiveVideo:
         if now - self._last[camera] < period - LIVE_FRAME_JITTER_S:
             return
         self._last[camera] = now
-        exposed = t + self._perceived.camera_clocks[camera].used_s
+        exposed = t + self._perceived.cameras[camera].clock.used_s
         pose = self._perceived.camera_pose(exposed, camera)
         lens = self._lenses[camera]
         view = VideoMessage(

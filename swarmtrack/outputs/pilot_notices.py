@@ -43,7 +43,7 @@ from swarmtrack.outputs import periods
 from swarmtrack.outputs.drawing import SeenTrack, as_seen
 from swarmtrack.outputs.status_lines import Debounced, StatusLines
 from swarmtrack.outputs.teammates_on_earth import TeammatesOnEarth
-from swarmtrack.perceived import Perceived
+from swarmtrack.perceived import PilotView
 from swarmtrack.wire.health import LinkHealth
 
 NETWORKS = ("zenoh", "memory")  # names of links to the team
@@ -66,7 +66,7 @@ class PilotNotices:
         self,
         autopilot: MavlinkAutopilot | None,
         tell: Collection[str],
-        perceived: Perceived,
+        perceived: PilotView,
         lenses: Sequence[PinholeCamera],
         *,
         drone_id: int,

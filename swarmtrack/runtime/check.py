@@ -85,7 +85,7 @@ def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
     print(f"{name:10} {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
     print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
     if len(parts.lenses) > 1:
-        ahead, right, down = parts.door.perceived.mountings[number].rotation[:, 2]
+        ahead, right, down = parts.door.perceived.cameras[number].body_from_camera.rotation[:, 2]
         azimuth, up = math.degrees(math.atan2(right, ahead)), -math.degrees(math.asin(down))
         # Nothing is a negative nothing.
         azimuth, up = round(azimuth) + 0, round(up) + 0
@@ -106,8 +106,7 @@ def draw_formation(path: Path) -> str:
 
 
 def _views(parts: Parts) -> list[HalfView]:
-    perceived = parts.door.perceived
-    return fields_of_view(zip(perceived.lenses, perceived.mountings, strict=True))
+    return fields_of_view((each.lens, each.body_from_camera) for each in parts.door.perceived.cameras)
 
 
 def _role(plan: FormationPlan, drone_id: int) -> str:

@@ -14,7 +14,7 @@ from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.diagnosis.tracking import check_tracking, ratio_of, worst
 from swarmtrack.messages import Array, IdClash, LinkStatus, Membership, PeerDeparted
 from swarmtrack.outputs import periods
-from swarmtrack.perceived import Perceived
+from swarmtrack.perceived import HealthView
 from swarmtrack.runtime.meters import LatencyMeter, ProcessMeter, RateMeter
 from swarmtrack.wire.fields import WIRE_VERSION
 from swarmtrack.wire.health import (
@@ -99,7 +99,7 @@ class Health:
         drone_id: int,
         boot: str,
         links: Connections,
-        perceived: Perceived,
+        perceived: HealthView,
         expected: Expected,
         *,
         clock: Clock,
@@ -151,11 +151,10 @@ class Health:
         ]
 
     def _camera_counters(self, number: int) -> list[tuple[str, float]]:
-        clock = self._perceived.camera_clocks[number]
-        found = clock.found
+        camera = self._perceived.cameras[number]
+        clock, found = camera.clock, camera.clock.found
         known = [("time_offset_s", found.offset_s), ("time_offset_sigma_s", found.sigma_s)] if found else []
-        consistency = self._perceived.consistencies[number]
-        noise = self._perceived.measured_noises[number]
+        consistency, noise = camera.tracker.consistency, camera.tracker.measured_noise
         known += [("nis", ratio_of(consistency))] if consistency else []
         known += [("noise", noise.detections)] if noise else []
         return [("stale_frames", self._stale_of[number]), ("time_offset_used_s", clock.used_s), *known]
@@ -235,7 +234,7 @@ class Health:
             for name, value in link.counters
             if link.name == "autopilot" and math.isfinite(value)  # NaN until the autopilot's clock is known
         }
-        consistency = worst(perceived.consistencies)
+        consistency = worst([each.tracker.consistency for each in perceived.cameras])
         readiness = self.readiness()
         drops: Counter[str] = Counter()
         for counts in (asdict(perceived.counters), perceived.part_counters, self.drops):
@@ -264,7 +263,8 @@ class Health:
     def _noise(self) -> NoiseHealth | None:
         """What was learned of the noise; and in words, once it has lasted, what the tracks do not know of it. Of
         several cameras that of the first with which something is wrong, else of the noisiest."""
-        told = list(zip(self._perceived.consistencies, self._perceived.measured_noises, strict=True))
+        trackers = [each.tracker for each in self._perceived.cameras]
+        told = [(each.consistency, each.measured_noise) for each in trackers]
         known = [k for k, one in enumerate(told) if one != (None, None)]
         if not known:
             return None
@@ -285,14 +285,15 @@ class Health:
         )
 
 
-def _time_offset(perceived: Perceived) -> TimeOffsetHealth:
-    found, used = perceived.camera_clock.found, perceived.camera_clock.used_s
-    return TimeOffsetHealth(found and found.offset_s, found and found.sigma_s, used)
+def _time_offset(perceived: HealthView) -> TimeOffsetHealth:
+    clock = perceived.cameras[0].clock
+    found = clock.found
+    return TimeOffsetHealth(found and found.offset_s, found and found.sigma_s, clock.used_s)
 
 
-def _gyro_bias(perceived: Perceived) -> GyroBiasHealth:
-    found, used = perceived.gyro_bias, _three(perceived.gyro_bias_used)
-    return GyroBiasHealth(found and _three(found.bias), found and found.sigma, used)
+def _gyro_bias(perceived: HealthView) -> GyroBiasHealth:
+    found, used = perceived.gyro_bias
+    return GyroBiasHealth(found and _three(found.bias), found and found.sigma, _three(used))
 
 
 def _three(vector: Array) -> tuple[float, float, float]:

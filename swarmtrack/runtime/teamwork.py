@@ -37,7 +37,7 @@ from swarmtrack.motion.sway import next_begin, possible_begins
 from swarmtrack.outputs import periods
 from swarmtrack.outputs.pilot_notices import PilotNotices
 from swarmtrack.outputs.wording import describe, describe_filed
-from swarmtrack.perceived import Perceived
+from swarmtrack.perceived import TeamView
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.filed import coded_motion
@@ -68,7 +68,7 @@ class Teamwork:
     def __init__(
         self,
         tell: Callable[[Input], None],
-        perceived: Perceived,
+        perceived: TeamView,
         transport: Transport,
         health: Health,
         notices: PilotNotices,
@@ -131,7 +131,8 @@ class Teamwork:
 
     def describe_camera(self) -> None:
         """For whoever makes directions of the pixels of our tracks; before the network opens."""
-        lenses, mountings = self._perceived.lenses, self._perceived.mountings
+        lenses = [each.lens for each in self._perceived.cameras]
+        mountings = [each.body_from_camera for each in self._perceived.cameras]
         try:
             self._transport.describe(
                 codec.encode(camera_message(self._drone_id, self._boot, lenses, mountings))

@@ -78,7 +78,7 @@ def test_a_camera_is_told_of_its_own_tracks_and_not_of_what_only_another_sees():
 def test_where_two_pictures_overlap_both_are_told_in_their_own_pixels():
     drone = two_cameras()
     last = watch(drone, 0, -2.0)
-    assert {track.camera for track in drone.carried(last)} == {0}
+    assert {entry.track.camera for entry in drone.tracks(last).tracks} == {0}
     (own,) = PerceivedExpectation(drone, 0).boxes(last)
     (other,) = PerceivedExpectation(drone, 1).boxes(last)
     assert own[:2] == pytest.approx(pixel(0, -2.0), abs=1.0)

@@ -416,7 +416,7 @@ def test_what_is_found_in_flight_can_be_switched_off(tmp_path):
     off = text + "estimate_time_offset = false\n[motion]\nestimate_gyro_bias = false\n"
     for config, on in ((text, True), (off, False)):
         onboard = assemble(load_config(write(tmp_path, config)), SystemClock()).door.perceived
-        assert (onboard.camera_clock._evidence is not None, onboard._bias._estimates) == (on, on)
+        assert (onboard.cameras[0].clock._evidence is not None, onboard._bias._estimates) == (on, on)
 
 
 def teammate(tmp_path, drone_id, team):

@@ -207,10 +207,10 @@ def on_the_pad(drone, seconds, start=0.0):
 
 def test_onboard_tells_it_in_body_axes_and_says_what_it_uses():
     drone = onboard()
-    assert drone.gyro_bias is None
+    assert drone.gyro_bias.found is None
     on_the_pad(drone, 15)
-    assert drone.gyro_bias.bias == pytest.approx(BIAS, abs=1e-3)
-    assert drone.gyro_bias_used == pytest.approx(BIAS, abs=1e-3)
+    assert drone.gyro_bias.found.bias == pytest.approx(BIAS, abs=1e-3)
+    assert drone.gyro_bias.used == pytest.approx(BIAS, abs=1e-3)
     turn = drone.gyro.rotation(13.2, 14.9).matrix
     assert np.linalg.norm(rotation.log(turn)) < 2e-3
 
@@ -219,14 +219,14 @@ def test_a_rebooted_autopilot_may_have_calibrated_its_gyro_so_all_begins_anew():
     drone = onboard()
     on_the_pad(drone, 15)
     drone.tell(AutopilotRebooted())
-    assert drone.gyro_bias is None
-    assert drone.gyro_bias_used == pytest.approx(np.zeros(3))
+    assert drone.gyro_bias.found is None
+    assert drone.gyro_bias.used == pytest.approx(np.zeros(3))
     on_the_pad(drone, 15, start=20.0)
-    assert drone.gyro_bias.bias == pytest.approx(BIAS, abs=1e-3)
+    assert drone.gyro_bias.found.bias == pytest.approx(BIAS, abs=1e-3)
 
 
 def test_who_does_not_want_it_estimated_keeps_the_one_that_was_told():
     drone = onboard(estimate_gyro_bias=False)
     on_the_pad(drone, 15)
-    assert drone.gyro_bias is None
-    assert drone.gyro_bias_used == pytest.approx(np.zeros(3))
+    assert drone.gyro_bias.found is None
+    assert drone.gyro_bias.used == pytest.approx(np.zeros(3))

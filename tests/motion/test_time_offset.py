@@ -401,7 +401,7 @@ def test_the_offset_in_use_does_not_depend_on_how_late_the_scans_come():
     at_once, late = onboard(), onboard()
     a = reports_of(at_once, events(motion, 0.06, 0.0, 16.0))
     b = reports_of(late, events(motion, 0.06, 0.5, 16.0))
-    assert at_once.camera_clock.used_s > 0.05
+    assert at_once.cameras[0].clock.used_s > 0.05
     assert at_once.counters.late_scans == late.counters.late_scans == 0
     assert len(a) == len(b)
     for x, y in zip(states(a), states(b), strict=True):
@@ -440,8 +440,8 @@ def test_a_camera_that_is_stamped_wrong_is_tracked_as_well_as_one_that_is_right(
 def test_the_config_s_offset_is_where_the_search_begins():
     motion, drone = Turning(np.random.default_rng(14)), onboard(time_offset_s=0.2)
     reports_of(drone, events(motion, 0.26, 0.02, 14.0))
-    assert drone.camera_clock.found.offset_s == pytest.approx(0.26, abs=3e-3)
-    assert drone.camera_clock.used_s == pytest.approx(0.26, abs=5e-3)
+    assert drone.cameras[0].clock.found.offset_s == pytest.approx(0.26, abs=3e-3)
+    assert drone.cameras[0].clock.used_s == pytest.approx(0.26, abs=5e-3)
 
 
 def test_what_lies_beyond_the_search_is_unknown_and_changes_nothing():
@@ -450,8 +450,8 @@ def test_what_lies_beyond_the_search_is_unknown_and_changes_nothing():
         drone,
         [replace(e, t=e.t - 0.3) if isinstance(e, Detections) else e for e in events(motion, 0, 0.3, 14.0)],
     )
-    assert drone.camera_clock.found is None or drone.camera_clock.found.sigma_s > OFFSET_USED_SIGMA_S
-    assert drone.camera_clock.used_s == 0.0
+    assert drone.cameras[0].clock.found is None or drone.cameras[0].clock.found.sigma_s > OFFSET_USED_SIGMA_S
+    assert drone.cameras[0].clock.used_s == 0.0
 
 
 def test_the_benchmark_writes_what_it_found(tmp_path, monkeypatch):

@@ -11,11 +11,11 @@ from scipy.stats import chi2
 from swarmtrack.benchmarks import relative as bench
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Announcement, MotionReport, RangeReport, Sighting, SightingReport
-from swarmtrack.onboard import STRANGERS_SPEED
 from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.log_range import cartesian, decay
 from swarmtrack.relative.looks import TeamLook
+from swarmtrack.relative.metres import STRANGERS_SPEED
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.reading import OwnMotion
 from swarmtrack.relative.states import RelativeStates
