@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 
     from swarmtrack.lab.scenarios.scenario import Scenario
     from swarmtrack.lab.score.swarm_verdict import SwarmReport
+    from swarmtrack.lab.swarm.detail import Detail
     from swarmtrack.lab.swarm.flight import FlightPlan
     from swarmtrack.lab.swarm.machine_load import Capacity
     from swarmtrack.lab.swarm.page import FlightPage
@@ -100,6 +101,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how much is simulated: full, the scenario's pictures, gyro samples and tracks per second; reduced, "
         "fewer; low, of smaller pictures, too; auto, as much as the machine has time for (default: %(default)s)",
     )
+    _add_outputs(parser)
+
+
+def _add_outputs(parser: argparse.ArgumentParser) -> None:
+    """What is written, served and kept."""
     add_file(parser, "--json", "write the verdict and all figures to this file")
     add_folder(parser, "--record", "record every agent, the truth and the verdict there")
     add_flag(parser, "--monitor", "serve the web page of the flight")
@@ -126,7 +132,7 @@ def _drones(text: str) -> int:
 
 def run(args: argparse.Namespace) -> int:
     from swarmtrack.clock import SystemClock
-    from swarmtrack.lab.swarm.machine_load import MachineLoad, choose_detail, described, look_around
+    from swarmtrack.lab.swarm.machine_load import MachineLoad, described, look_around
 
     clock = SystemClock()
     began, load = clock.now(), MachineLoad()
@@ -134,8 +140,6 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console
 
     from swarmtrack.errors import TransportError
-    from swarmtrack.lab.swarm.detail import Detail
-    from swarmtrack.lab.swarm.flight import FlightPlan
     from swarmtrack.lab.swarm.outside import NoTruth
     from swarmtrack.lab.swarm.processes import ProcessDied
     from swarmtrack.lab.swarm.radio import RadioError
@@ -151,21 +155,7 @@ def run(args: argparse.Namespace) -> int:
         settings.check(NetworkSettings(team=args.team))
     if args.json is not None:
         check_writable(args.json)
-    wanted = args.monitor or args.stay
-    monitor_port = args.monitor_port if args.monitor_port is not None else 0 if wanted else None
-    plan = FlightPlan(
-        scenario or DEFAULT_SCENARIO,
-        args.drones,
-        args.seconds,
-        args.seed,
-        args.tracker,
-        args.detector,
-        args.keep,
-        args.record,
-        monitor_port,
-        args.world,
-        args.team,
-    )
+    plan = _plan(args, scenario or DEFAULT_SCENARIO)
     console = Console()
     if plan.drones is not None and plan.drones > SLOW_TO_PREPARE:
         console.print(f"preparing {plan.drones} drones …", highlight=False)
@@ -176,12 +166,7 @@ def run(args: argparse.Namespace) -> int:
     if plan.record is not None:
         check_empty(plan.record)
     capacity = look_around(load, began, clock)
-    if plan.world is not None:
-        detail = Detail.FULL
-    elif args.detail == "auto":
-        detail = choose_detail(whole, plan.detector, capacity)
-    else:
-        detail = Detail(args.detail)
+    detail = _detail(args, plan, whole, capacity)
     spectator = _spectator(whole, plan.detector, console)
     spectator.keep(described(whole, plan.detector, capacity, detail))
     stay = sys.stdout.isatty() if args.stay is None else args.stay
@@ -200,6 +185,38 @@ def run(args: argparse.Namespace) -> int:
     finally:
         spectator.close()
     return landing.code
+
+
+def _plan(args: argparse.Namespace, scenario: str) -> FlightPlan:
+    """As the command line asks for it."""
+    from swarmtrack.lab.swarm.flight import FlightPlan
+
+    wanted = args.monitor or args.stay
+    monitor_port = args.monitor_port if args.monitor_port is not None else 0 if wanted else None
+    return FlightPlan(
+        scenario,
+        args.drones,
+        args.seconds,
+        args.seed,
+        args.tracker,
+        args.detector,
+        args.keep,
+        args.record,
+        monitor_port,
+        args.world,
+        args.team,
+    )
+
+
+def _detail(args: argparse.Namespace, plan: FlightPlan, scenario: Scenario, capacity: Capacity) -> Detail:
+    from swarmtrack.lab.swarm.detail import Detail
+    from swarmtrack.lab.swarm.machine_load import choose_detail
+
+    if plan.world is not None:
+        return Detail.FULL
+    if args.detail == "auto":
+        return choose_detail(scenario, plan.detector, capacity)
+    return Detail(args.detail)
 
 
 class _Landing:

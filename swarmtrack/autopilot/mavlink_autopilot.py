@@ -126,10 +126,9 @@ class MavlinkAutopilot:
         self._flight = FlightWatch()
         self._switch = switch
         self._engagement = engagement
-        reads_channels = switch is not None or (engagement is not None and engagement.asks_for_switch)
         self._requests = StreamRequests(
             imu_rate_hz,
-            _rates(by_gps=gps is not None, channels=reads_channels, mode=engagement is not None),
+            _rates(by_gps=gps is not None, channels=self._reads_channels, mode=engagement is not None),
             line=self._link.bytes_per_second,
             signed=key is not None,
         )
@@ -154,21 +153,31 @@ class MavlinkAutopilot:
             news=self._news,
             switch=switch,
         )
-        self._readers: dict[int, Callable[[float, Any], None]] = {
+        self._readers = self._make_readers()
+        self._parameters: ParameterReader | None = None
+        self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
+        self._next_heartbeat = self._next_tick = -math.inf
+        self._greeted = False
+
+    @property
+    def _reads_channels(self) -> bool:
+        """Whether the transmitter's channels are asked for."""
+        return self._switch is not None or (self._engagement is not None and self._engagement.asks_for_switch)
+
+    def _make_readers(self) -> dict[int, Callable[[float, Any], None]]:
+        """By message."""
+        readers: dict[int, Callable[[float, Any], None]] = {
             common.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
             common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._flight.on_landed_state,
             common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             **self._telemetry.readers,
         }
-        if reads_channels:
-            self._readers[RC_CHANNELS] = self._on_channels
-        if engagement is not None:
-            self._readers[CURRENT_MODE] = engagement.on_current_mode
-            self._readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
-        self._parameters: ParameterReader | None = None
-        self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
-        self._next_heartbeat = self._next_tick = -math.inf
-        self._greeted = False
+        if self._reads_channels:
+            readers[RC_CHANNELS] = self._on_channels
+        if self._engagement is not None:
+            readers[CURRENT_MODE] = self._engagement.on_current_mode
+            readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
+        return readers
 
     def read_parameters(self, reader: ParameterReader) -> None:
         """Before `run`: these are asked for as well."""

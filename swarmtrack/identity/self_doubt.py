@@ -109,13 +109,8 @@ class SelfDoubt:
         moved = {place.drone_id for place in latest} - {place.drone_id for place in places}
         # Where they are now nobody said, but how they got there: that tells which way this drone looks.
         moving = {drone for drone in moved if _tells_motion(drone, weighing)}
-        tracks = [
-            track
-            for track in alive.values()
-            if (track.status is TrackStatus.CONFIRMED or track.probability >= RIVAL)
-            and track.status is not TrackStatus.LOST
-            and not (track.id in held and held[track.id].drone_id in moved - moving)
-        ]
+        others = {id for id, name in held.items() if name.drone_id in moved - moving}
+        tracks = [track for track in alive.values() if _counts(track) and track.id not in others]
         on_pad = whereabouts.on_pad
         ahead = reproject(places, view, on_pad=on_pad, drift_speed=self._drift_speed, stay_s=self._stay_s)
         vague = [*_known_by_motion(whereabouts, weighing), *sorted(moving)]
@@ -126,8 +121,8 @@ class SelfDoubt:
         evidence = weighing.look(tracks, view, ahead, [place.drone_id for place in places], vague)
         unexplained = nameless & {track.id for track in tracks} or self._p > PUZZLING or self.said
         if places and (unexplained or self._onlookers.are_puzzled):
-            others = self._elsewhere(places, view, whereabouts, weighing)
-            self.own = own_pose.weigh(evidence, view, others)
+            elsewhere = self._elsewhere(places, view, whereabouts, weighing)
+            self.own = own_pose.weigh(evidence, view, elsewhere)
         else:
             self.own = own_pose.weigh(evidence, view)
         self._p = self._wrong(view.observer)
@@ -219,3 +214,9 @@ def _known_by_motion(whereabouts: Whereabouts, weighing: Weighing) -> list[int]:
 
 def _tells_motion(drone: int, weighing: Weighing) -> bool:
     return weighing.tells_motion(drone) and not weighing.is_agreed(drone)
+
+
+def _counts(track: Track) -> bool:
+    """Whether a track may be a teammate or its rival now."""
+    is_likely = track.status is TrackStatus.CONFIRMED or track.probability >= RIVAL
+    return is_likely and track.status is not TrackStatus.LOST

@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Self
@@ -85,6 +85,7 @@ from swarmtrack.lab.world.trajectory import (
 from swarmtrack.lab.world.trajectory import (
     Path as FlightPath,
 )
+from swarmtrack.lab.world.world import World
 
 FOLDER = Path(str(resources.files("swarmtrack") / "configs" / "scenarios"))
 MAX_SCENARIO_DRONES = 1000
@@ -563,6 +564,17 @@ def _autopilots(file: ScenarioFile, members: Sequence[int], ids: Sequence[int]) 
     return autopilots
 
 
+def _with_errands(
+    world: World, file: ScenarioFile, ids: Sequence[int], autopilots: Mapping[int, AutopilotKind]
+) -> tuple[World, tuple[ScenarioEvent, ...]]:
+    """The same world, in which the drones of the formation run their errands, where there are any; and what happens."""
+    shape = file.formation
+    if shape is None or shape.errand is None:
+        return world, ()
+    responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
+    return run_errands(world, ids, shape.errand, file.drift_m, responses)
+
+
 def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> Scenario:
     ids = _formation_ids(file, _team_size(file, drones)) if file.formation is not None else []
     members = sorted([*ids, *(drone.id for drone in file.drone if not drone.stranger)])
@@ -582,14 +594,12 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         )
     team = tuple(members)
     world = fly(seed, dict(sorted(plans.items())), file.drift_m, codes_s=file.codes_s, team=team)
-    events: tuple[ScenarioEvent, ...] = ()
-    if shape is not None and shape.errand is not None:
-        responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
-        world, events = run_errands(world, ids, shape.errand, file.drift_m, responses)
+    world, events = _with_errands(world, file, ids, autopilots)
     star = shape.star.star(ids) if shape is not None and shape.star is not None else None
     if star is not None:
         world = fly_star(world, star, file.drift_m)
     strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
+    starts_at = announced_starts(world, agents.position_sigma_m, agents.swapped)
 
     def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
         return dict(zip(members, itertools.cycle([factor * value for value in values]), strict=False))
@@ -604,11 +614,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         imu_rate_hz=agents.imu_rate_hz,
         tracks_hz=agents.tracks_hz,
         detector=DetectorParameters(**file.detector.parameters),
-        announced={
-            drone_id: start
-            for drone_id, start in announced_starts(world, agents.position_sigma_m, agents.swapped).items()
-            if drone_id not in strangers
-        },
+        announced={drone_id: starts_at[drone_id] for drone_id in starts_at if drone_id not in strangers},
         announces=agents.announce,
         share_hz=agents.share_hz,
         codes_s=file.codes_s,

@@ -271,22 +271,7 @@ class SwarmReport:
                 },
                 "samples": self.relative.samples,
             },
-            "agents": [
-                {
-                    "id": agent.drone_id,
-                    "track_rate_hz": _rounded(agent.track_rate_hz, 2),
-                    "imu_rate_hz": _rounded(agent.imu_rate_hz, 2),
-                    "detection_rate_hz": _rounded(agent.detection_rate_hz, 2),
-                    "latency_ms": {
-                        "p50": _rounded(1e3 * agent.latency_p50_s, 2),
-                        "p95": _rounded(1e3 * agent.latency_p95_s, 2),
-                    },
-                    "cpu_percent": _rounded(agent.cpu_percent, 1),
-                    "rss_mb": _rounded(agent.rss_mb, 1),
-                    "announcement_bytes": agent.announcement_bytes,
-                }
-                for agent in self.agents
-            ],
+            "agents": [_agent_record(agent) for agent in self.agents],
             **({} if self.formation is None else {"formation": _formation_record(self.formation)}),
             "detail": self.detail,
             "machine_busy": _rounded(self.machine_busy, 3),
@@ -294,6 +279,22 @@ class SwarmReport:
             "verdict": self.verdict,
             "passed": self.passed,
         }  # fmt: skip
+
+
+def _agent_record(agent: AgentFigures) -> dict[str, Any]:
+    return {
+        "id": agent.drone_id,
+        "track_rate_hz": _rounded(agent.track_rate_hz, 2),
+        "imu_rate_hz": _rounded(agent.imu_rate_hz, 2),
+        "detection_rate_hz": _rounded(agent.detection_rate_hz, 2),
+        "latency_ms": {
+            "p50": _rounded(1e3 * agent.latency_p50_s, 2),
+            "p95": _rounded(1e3 * agent.latency_p95_s, 2),
+        },
+        "cpu_percent": _rounded(agent.cpu_percent, 1),
+        "rss_mb": _rounded(agent.rss_mb, 1),
+        "announcement_bytes": agent.announcement_bytes,
+    }
 
 
 def _formation_record(formation: FormationScore) -> dict[str, Any]:

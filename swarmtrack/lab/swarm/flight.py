@@ -213,12 +213,7 @@ class _SwarmFlight:
             epoch_utc=ready["epoch_s"] + self._clock.utc() - self._clock.now(),
             share=self._share_of_detectors(),
         )
-        if self._flown.outside is None:
-            for drone_id in self._flown.followed if self._scenario.star is None else ():
-                where = ready["drones"][str(drone_id)]["ground"]
-                self._spectator.note(f"drone {drone_id}: a ground station flies it at {where}")
-        for line in self._how_to_listen():
-            self._spectator.keep(line)
+        self._note_how_to_listen(ready)
         if self._plan.monitor_port is not None:
             self.page = await self._open_page(self._plan.monitor_port)
         listener = ZenohListener(self._listening(), keys.all_but_video(self._team), self._clock)
@@ -257,6 +252,15 @@ class _SwarmFlight:
         report = self._report()
         await asyncio.to_thread(self._recording.end, report)
         return report
+
+    def _note_how_to_listen(self, ready: Mapping[str, Any]) -> None:
+        """Where ground stations and listeners find the flight."""
+        if self._flown.outside is None:
+            for drone_id in self._flown.followed if self._scenario.star is None else ():
+                where = ready["drones"][str(drone_id)]["ground"]
+                self._spectator.note(f"drone {drone_id}: a ground station flies it at {where}")
+        for line in self._how_to_listen():
+            self._spectator.keep(line)
 
     @contextlib.contextmanager
     def _recorded_to_its_end(self) -> Iterator[None]:
