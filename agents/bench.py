@@ -11,33 +11,36 @@ from swarmtrack.errors import SourceError
 BENCHMARKS = {
     "all-round": (
         "swarmtrack.benchmarks.all_round",
-        "names with several cameras per drone, and what seams cost them",
+        "names with several cameras per drone, and errors at seams",
     ),
-    "box-width": ("swarmtrack.benchmarks.box_width", "how wide a detector's boxes are beside the drones"),
+    "box-width": (
+        "swarmtrack.benchmarks.box_width",
+        "how wide a detector's boxes are, relative to the drones",
+    ),
     "calibration": (
         "swarmtrack.benchmarks.calibration",
         "calibrations by hand and by board, against the truth",
     ),
     "clients": (
         "swarmtrack.benchmarks.hundred_clients",
-        "time until all drones know each other, up to 100 drones",
+        "time until all announcements are known, up to 100 drones",
     ),
     "clips": ("swarmtrack.benchmarks.real_clips", "real drones on labelled clips, through the agent"),
     "cost": (
         "swarmtrack.benchmarks.cost",
-        "what an agent, metres, a command in formation and being watched cost; or all beside another checkout",
+        "costs of an agent, metres, formation commands and the monitor; or of all, compared with another checkout",
     ),
     "detection-noise": (
         "swarmtrack.benchmarks.detection_noise",
-        "how far the shipped detector's boxes are off, and which pairs it resolves",
+        "errors of the shipped detector's boxes, and the pairs that it resolves",
     ),
     "detector": (
         "swarmtrack.benchmarks.detector",
-        "how good a detector is on labelled images and clips",
+        "quality of a detector on labelled images and clips",
     ),
     "endurance": (
         "swarmtrack.benchmarks.endurance.benchmark",
-        "half an hour of a swarm: what grows, falls behind, is lost",
+        "half an hour of a swarm: memory, delays and losses",
     ),
     "errand": (
         "swarmtrack.benchmarks.errands.benchmark",
@@ -45,65 +48,68 @@ BENCHMARKS = {
     ),
     "first-command": (
         "swarmtrack.benchmarks.first_command",
-        "what `swarmtrack sim` says, how long it takes and what it costs, again and again",
+        "verdicts, duration and cost of `swarmtrack sim`, over repeated runs",
     ),
     "fixed-lag": (
         "swarmtrack.benchmarks.trackers.fixed_lag",
-        "what a delay of some scans is worth to a tracker's estimates",
+        "benefit of a delay of some scans for a tracker's estimates",
     ),
-    "flood": ("swarmtrack.benchmarks.flood", "what a member that floods does to the others"),
+    "flood": ("swarmtrack.benchmarks.flood", "effects of a flooding member on its teammates"),
     "formation": (
         "swarmtrack.benchmarks.formation.benchmark",
-        "flying in formation by sight, the loop closed: slots, separations, who is lost",
+        "formation flight by sight in closed loop: slot errors, separations, lost followers",
     ),
     "guard": (
         "swarmtrack.benchmarks.guard",
-        "what an autopilot hears when its engaged agent is killed, frozen or breaks",
+        "what an autopilot receives when its engaged agent is killed, freezes or crashes",
     ),
     "identity": (
         "swarmtrack.benchmarks.identity.layouts",
-        "who is who from one look: the paper's rule and ours",
+        "identification from a single scan: the paper's rule and ours",
     ),
     "misconfigured": (
         "swarmtrack.benchmarks.misconfigured",
         "names when pads, compasses, mountings or starts are wrong",
     ),
-    "motion": ("swarmtrack.benchmarks.motion", "who is who by how drones move alone"),
+    "motion": ("swarmtrack.benchmarks.motion", "identification by motion alone"),
     "offset": (
         "swarmtrack.benchmarks.time_offset",
-        "how well the camera's clock and the gyro's bias are estimated",
+        "errors of the estimated camera time offset and gyro bias",
     ),
     "recognition": (
         "swarmtrack.benchmarks.identity.recognition",
-        "who is who over a hundred flights, in one process",
+        "identification over a hundred flights, in one process",
     ),
     "recording": (
         "swarmtrack.benchmarks.recorded_flights",
-        "what kill -9 costs a recording, and how fast it replays",
+        "what a recording loses by kill -9, and how fast it replays",
     ),
     "relative": (
         "swarmtrack.benchmarks.relative",
-        "where teammates are in metres, and whether that is known",
+        "errors of relative states in metres, and their consistency",
     ),
     "relative-flights": (
         "swarmtrack.benchmarks.relative_flights",
-        "places in metres over whole flights, with trackers and names",
+        "relative states in metres over whole flights, with trackers and names",
     ),
     "rotation": (
         "swarmtrack.benchmarks.rotating_observer",
-        "what the gyro is worth to an observer that turns",
+        "benefit of the gyro for a turning observer",
     ),
     "scenery": (
         "swarmtrack.benchmarks.scenery",
-        "what is taken for a drone among houses, poles and trees, in drawn flights",
+        "false detections among houses, poles and trees, in rendered flights",
     ),
     "seams": (
         "swarmtrack.benchmarks.seams",
-        "tracks that go over from one camera of a drone to the next",
+        "handover of tracks between the cameras of a drone",
     ),
-    "silent": ("swarmtrack.benchmarks.silent", "who is who with nothing on the air: by a file, by codes"),
+    "silent": ("swarmtrack.benchmarks.silent", "identification without messages: by a file, by codes"),
     "soak": ("swarmtrack.benchmarks.trackers.soak", "every tracker under a million random scans"),
-    "swarm": ("swarmtrack.benchmarks.swarm_runs", "whole local swarms: who knows whom, and at what cost"),
+    "swarm": (
+        "swarmtrack.benchmarks.swarm_runs",
+        "whole local swarms: names, and the cost of computing them",
+    ),
     "trackers": (
         "swarmtrack.benchmarks.trackers.benchmark",
         "every tracker: the paper's figures, and harder scenes",

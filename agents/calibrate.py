@@ -35,10 +35,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     extrinsics = add_action(
         steps,
         "extrinsics",
-        "how the camera is mounted relative to the gyro, and the offset of their clocks",
-        description="How the camera is mounted relative to the gyro, and the offset of their clocks. Take the "
-        "propellers off. Turn the drone by hand for a minute, to and fro about all its axes, in a room or yard with "
-        "much texture and nothing nearer than three metres. Exit code 0: good. 1: not good, with the reason.",
+        "mounting of the camera relative to the gyro, and the offset of their clocks",
+        description="Mounting of the camera relative to the gyro, and the offset of their clocks. Take the "
+        "propellers off. Turn the drone by hand for a minute, back and forth about all its axes, in a room or yard "
+        "with plenty of texture and nothing closer than three metres. Exit code 0: good. 1: not good, with the reason.",
     )
     add_file(extrinsics, "--config", "the drone's config: its camera and autopilot")
     add_file(extrinsics, "--video", "instead of a config: a recorded minute, …")
@@ -48,14 +48,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_seconds(
         extrinsics,
         "--reach",
-        f"search offsets up to so many seconds (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
+        f"largest offset to search for (default: {LIVE_REACH:g}; recordings: {RECORDED_REACH:g})",
     )
     extrinsics.add_argument(
         "--camera",
         type=int,
         default=1,
         metavar="N",
-        help="which one, where the config has several (default: 1)",
+        help="number of the camera, if the config has several (default: 1)",
     )
     add_file(extrinsics, "--write", "write the result into this config, if it is good")
     add_flag(extrinsics, "--json", "print JSON")

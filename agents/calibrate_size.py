@@ -1,4 +1,4 @@
-"""`swarmtrack calibrate size`: how wide a detector's boxes are beside the drones, from a recorded flight."""
+"""`swarmtrack calibrate size`: how wide a detector's boxes are, relative to the drones, from a recorded flight."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def add_size_command(steps: Any) -> None:
     size = add_action(
         steps,
         "size",
-        "how wide the detector's boxes are beside the drones, from a recorded flight",
-        description="How wide the detector's boxes are beside the drones: for your own model, so that the size of a "
-        "box tells a distance. Fly two drones, or more, near to each other and apart, and record with all of them. "
-        "Where they were is known from their recordings and from what they told, or from the truth of a simulation. "
+        "width of the detector's boxes relative to the drones, from a recorded flight",
+        description="Width of the detector's boxes relative to the drones. Do this for a model of your own: the size "
+        "of a box then gives a range. Fly two or more drones, at short and at long range, and record on all of them. "
+        "Their positions come from their recordings and reports, or from the truth of a simulation. "
         "Prints the lines for the config. Exit code 0: good. 2: too little data, with what is missing.",
     )
     add_file(size, "recordings", "recordings of one flight", metavar="FILE|DIR", nargs="+")
@@ -33,8 +33,8 @@ def add_size_command(steps: Any) -> None:
         "--span",
         type=positive,
         metavar="M",
-        help="of the drones, from the outer rim of one rotor disc to that of its neighbour (default: as their "
-        "configs say)",
+        help="width of the drones, from the outer rim of one rotor disc to that of its neighbour (default: from "
+        "their configs)",
     )
     add_flag(size, "--json", "print JSON")
 
@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
         raise SourceError("found no drone's recording, expected those of a flight of two drones or more")
     if flight.span is None:
         raise SourceError(
-            "how wide the drones are is not known: found no [team] airframe_span_m in their configs, expected it or "
+            "the width of the drones is missing: found no [team] airframe_span_m in their configs, expected it or "
             "--span"
         )
     try:
@@ -95,7 +95,7 @@ def _say(found: WidthFit, skipped: dict[str, int]) -> None:
     print(f"boxes      {found.boxes}, of {found.drones} pairs of drones")
     print(f"width      {width.factor:.3f} spans + {width.padding_px:.1f} px")
     if not found.padded:
-        print("           the padding is not known: the drones were at much the same distance all the time")
+        print("           the padding is unknown: the range between the drones hardly changed")
     print(
         f"errors     {width.drone_sigma:.0%} from drone to drone{'' if found.drones_told else ' (as usual: too few)'}, "
         f"{width.wander_sigma:.0%} within {width.wander_s:g} s, {width.white_sigma:.0%} from frame to frame"

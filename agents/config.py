@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 EXAMPLE = """\
 for example:
-  swarmtrack config new                            # asks
+  swarmtrack config new                            # prompts
   swarmtrack config new --id 2 --autopilot ardupilot-uart --calibration cam2.yaml --start 0 3 0 -90
   swarmtrack config new --example                  # every key in one file, explained
   swarmtrack config check drone-1.toml drone-2.toml drone-3.toml
@@ -41,12 +41,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "check a config, as swarmtrack-agent --check does; several files are also checked as a team",
     )
     add_file(check, "files", "a drone's config", nargs="+")
-    add_file(check, "--drawing", "write the first one's formation there, as SVG")
+    add_file(check, "--drawing", "draw the first config's formation into FILE, as SVG")
     add_flag(
         check,
         "--autopilot",
-        "also ask each drone's autopilot, over its link, for the limits that it has of its own (fence, time-outs, "
-        "speeds); nothing is written to it",
+        "also read the limits of each drone's autopilot over its link (fence, time-outs, speeds); nothing is written "
+        "to it",
     )
 
     for action, text in (

@@ -24,12 +24,12 @@ COLOURS = {"ok": "green", "skipped": "dim", "warning": "yellow", "failure": "bol
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Why does it not work? Camera, autopilot, calibration, detector, network, keys, disk and heat: one line each, "
-        "with what to do. Turn the drone by hand while it watches, and it compares the camera with the gyro. "
-        "Exit code 0: all works. 1: something does not. 2: the config is wrong."
+        "Find out why a drone does not work: camera, autopilot, calibration, detector, network, keys, disk and heat, "
+        "one line each, with the remedy. Turn the drone by hand while the doctor runs: it then compares the camera "
+        "with the gyro. Exit code 0: no failure. 1: a failure. 2: the config is wrong."
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
-    add_seconds(parser, "--seconds", "how long to watch rates (default: %(default)g)", default=SECONDS)
+    add_seconds(parser, "--seconds", "how long to measure rates (default: %(default)g)", default=SECONDS)
     add_flag(parser, "--json", "print a JSON list of findings instead of lines")
 
 

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "key",
         metavar="KEY",
-        help="which messages, below swarmtrack/TEAM/v1: 'tracks/*', 'pose/*', 'health/3', '**'; or a full key",
+        help="key of the messages, below swarmtrack/TEAM/v1: 'tracks/*', 'pose/*', 'health/3', '**'; or a full key",
     )
     add_network_arguments(parser)
     parser.add_argument("--count", type=count, metavar="N", help="end after N messages")

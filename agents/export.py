@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--precision", choices=("fp32", "fp16", "int8"), default="int8", help="(default: %(default)s)"
     )
-    add_folder(parser, "--data", "labelled images for the calibration of int8, of scenes as in flight")
+    add_folder(parser, "--data", "labelled images to calibrate int8 on, from scenes as in flight")
     parser.add_argument(
         "--pictures",
         type=int,

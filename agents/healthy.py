@@ -20,20 +20,20 @@ NETWORKS = ("zenoh", "memory")  # links to the team: a drone out of its reach is
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Whether an agent does its work: it has written its health lately, has tracked a frame lately, and camera, "
-        "autopilot and detector are well. Exit code 0: yes; 1: no, and why; 2: wrong usage."
+        "Check that an agent is healthy: its health file is recent, so is its newest tracked frame, and camera, "
+        "autopilot and detector work. Exit code 0: healthy. 1: not healthy, with the reason. 2: wrong usage."
     )
     add_file(parser, "file", f"output.health of the agent's config (default: ${ENVIRONMENT})", nargs="?")
     add_seconds(
         parser,
         "--max-age",
-        "an agent that has not written for this long hangs or is gone (default: %(default)g)",
+        "age from which the health file means a hung or ended agent (default: %(default)g)",
         default=5.0,
     )
     add_seconds(
         parser,
         "--max-frame-age",
-        "an agent that has tracked no frame for this long is blind (default: %(default)g)",
+        "time without a tracked frame from which the agent is unhealthy (default: %(default)g)",
         default=10.0,
     )
 
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"unhealthy: {path}: {error.strerror}; is the agent running, and does it write there?")
         return UNHEALTHY
     except (ValueError, KeyError, TypeError):
-        print(f"unhealthy: {path}: is not what an agent writes, expected its output.health")
+        print(f"unhealthy: {path}: is not an agent's health, expected its output.health")
         return UNHEALTHY
     if troubles:
         print(f"unhealthy: drone {drone_id}: {'; '.join(troubles)}")
@@ -70,7 +70,7 @@ def find_troubles(
     age, frame_age = now - record["written_monotonic_s"], record["frame_age_s"]
     if not 0.0 <= age <= max_age_s:
         said = f"{age:.0f} s ago" if age >= 0.0 else "before this machine was started"
-        return [f"last heard {said}, expected within {max_age_s:g} s"]
+        return [f"last written {said}, expected within {max_age_s:g} s"]
     health = record["health"]
     troubles = [
         f"{link['name']}: {link['text']}"

@@ -33,9 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     log = parser.add_mutually_exclusive_group(required=True)
     log.add_argument("--tlog", type=Path, metavar="FILE", help="the telemetry log of a ground station")
     log.add_argument("--ulog", type=Path, metavar="FILE", help="PX4's own log (.ulg)")
-    add_file(parser, "--video", "what the camera saw", required=True)
+    add_file(parser, "--video", "video of the drone's camera", required=True)
     add_file(parser, "--config", "the drone's config: camera, mount, tracker, detector", required=True)
-    add_folder(parser, "--out", "where to; a folder is made below it", required=True)
+    add_folder(parser, "--out", "folder for recordings; a subfolder is made for each", required=True)
     parser.add_argument(
         "--offset",
         type=float,

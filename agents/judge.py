@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "simulator",
         metavar="URL",
-        help="where `python -m swarmtrack.agents.simulator --port P` serves its cameras, http://HOST:P",
+        help="address of `python -m swarmtrack.agents.simulator --port P`: http://HOST:P",
     )
     add_seconds(
         parser,

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     init.add_argument("--team", default="swarm", metavar="NAME", help="network.team (default: %(default)s)")
 
     issue = add_action(actions, "issue", "make keys and a certificate for each of NAME")
-    add_folder(issue, "--out", "where the folders go (default: the CA's)")
+    add_folder(issue, "--out", "where to create the key folders (default: the CA's)")
     issue.add_argument(
         "--days", type=_days, metavar="N", help="how long a certificate is valid (default: 90)"
     )
@@ -41,10 +41,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         overwriting.add_argument("--force", action="store_true", help="overwrite keys")
 
     revoke = add_action(
-        actions, "revoke", "take a name out of the roster: drones with the new roster ignore it"
+        actions, "revoke", "remove a name from the roster: drones with the new roster ignore it"
     )
 
-    listing = add_action(actions, "list", "who has keys, their fingerprints, and when they expire")
+    listing = add_action(actions, "list", "names with keys, their fingerprints and expiry dates")
 
     for action in (init, issue, revoke, listing):
         add_folder(action, "folder", "the CA's folder; it stays with you")

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(
         parser,
         "path",
-        'recordings of one flight, of as many drones as there are; with [recording] frames = "jpeg"',
+        'recordings of one flight, of all its drones if possible; with [recording] frames = "jpeg"',
         metavar="FILE|DIR",
     )
     add_folder(parser, "--out", "a new folder, for swarmtrack train --data", metavar="DATA", required=True)

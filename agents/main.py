@@ -16,44 +16,47 @@ from swarmtrack.plain_text import plain
 GROUPS = {
     "try it": {
         "sim": ("swarmtrack.agents.sim", "fly a local swarm: simulator, one agent per drone, a verdict"),
-        "video": ("swarmtrack.agents.video", "track what flies in a video file, and write the video with it"),
+        "video": ("swarmtrack.agents.video", "track drones in a video file, and write an annotated video"),
     },
     "set up": {
         "config": ("swarmtrack.agents.config", "write, check and explain configs"),
-        "calibrate": ("swarmtrack.agents.calibrate", "measure a camera, and how it sits on its drone"),
+        "calibrate": ("swarmtrack.agents.calibrate", "calibrate a camera and its mounting on the drone"),
         "keys": ("swarmtrack.agents.keys", "make and list the team's keys and certificates"),
         "mission": (
             "swarmtrack.agents.mission",
-            "write what autopilots fly so that teammates know each other",
+            "write trajectories by which teammates recognise each other",
         ),
     },
     "fly": {
         "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),
-        "healthy": ("swarmtrack.agents.healthy", "tell whether an agent does its work, for health checks"),
-        "router": ("swarmtrack.agents.router", "relay between drones that do not reach each other"),
+        "healthy": ("swarmtrack.agents.healthy", "check that an agent is healthy, by exit code"),
+        "router": ("swarmtrack.agents.router", "relay between drones that cannot reach each other"),
     },
     "look": {
         "monitor": ("swarmtrack.agents.monitor", "serve the web page of a running swarm"),
         "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
-        "record": ("swarmtrack.agents.record", "record what a running swarm says"),
+        "record": ("swarmtrack.agents.record", "record the messages of a running swarm"),
     },
     "afterwards": {
-        "replay": ("swarmtrack.agents.replay", "fly a recording again, as fast as it goes"),
+        "replay": (
+            "swarmtrack.agents.replay",
+            "run recorded flights through perception again, at full speed",
+        ),
         "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
-        "import": ("swarmtrack.agents.import_flight", "make a recording of a telemetry log and a video"),
+        "import": ("swarmtrack.agents.import_flight", "make a recording from a telemetry log and a video"),
     },
     "develop": {
-        "bench": ("swarmtrack.agents.bench", "re-make the published figures and tables"),
+        "bench": ("swarmtrack.agents.bench", "reproduce the published figures and tables"),
         "train": ("swarmtrack.agents.train", "train a detector"),
         "train-second-stage": (
             "swarmtrack.agents.train_second_stage",
-            "train what looks at a detector's candidates again",
+            "train the second stage, which re-examines a detector's candidates",
         ),
-        "label": ("swarmtrack.agents.label", "make training labels of a recorded flight"),
-        "export": ("swarmtrack.agents.export", "write a detector in fewer bits"),
+        "label": ("swarmtrack.agents.label", "make training labels from a recorded flight"),
+        "export": ("swarmtrack.agents.export", "export a detector at lower precision"),
         "judge": (
             "swarmtrack.agents.judge",
-            "watch a simulated swarm that others started, and give a verdict",
+            "judge a simulated swarm that is already running",
         ),
     },
 }
@@ -61,8 +64,8 @@ COMMANDS = {name: command for group in GROUPS.values() for name, command in grou
 
 EXAMPLES = """where to begin:
   swarmtrack sim                           # three drones, without any hardware
-  swarmtrack video clip.mp4                # what flies in a video of yours
-  swarmtrack config new                    # a config for your own; it asks
+  swarmtrack video clip.mp4                # drones in a video of yours
+  swarmtrack config new                    # a config for your own drone; it prompts
   swarmtrack doctor --config drone-1.toml  # why it does not work, and what to do
 """
 

@@ -17,17 +17,17 @@ if TYPE_CHECKING:
     from swarmtrack.messages import Array
 
 ABOUT = """\
-A drone's code: it sways up and down by 25 cm for 8 s, with a frequency that its ID gives it. Teammates that see it know
-who it is, and nothing is on the air (docs/silent.md). The file holds set points for each drone, relative to the place
-where it holds: who streams them adds that place.
+A drone's code: it sways up and down by 25 cm for 8 s, with a frequency given by its ID. Teammates that see it
+identify it without any message (docs/silent.md). The file holds set points for each drone, relative to the position
+where it hovers; the program that streams them adds that position.
 
   FILE.csv    id, t_s, north_m, east_m, down_m and the velocity. `[team] plan` can read it, too.
   FILE.json   fields of MAVLink's SET_POSITION_TARGET_LOCAL_NED, with frame and type_mask.
 
 ArduPilot   GUIDED mode. Stream position and velocity. WPNAV_ACCEL_Z (100 cm/s² by default) must be 400 or more, or
-            the quick codes come out too small.
-PX4         OFFBOARD mode. Stream the place where it holds for a second first, then these, then that place again.
-Missions    A mission of way points (QGC WPL) cannot fly it: way points have no times. So none is written.
+            the quick codes are flown too small.
+PX4         OFFBOARD mode. Stream the hover position for a second, then the set points, then that position again.
+Missions    A mission of way points (QGC WPL) cannot fly it: way points have no times.
 """
 EXAMPLE = """\
 for example:
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     sway = add_action(
         actions,
         "sway",
-        "set points of the codes by which a team is recognised without a message",
+        "set points of the codes by which teammates recognise each other without messages",
         description=with_pages(ABOUT),
         epilog=EXAMPLE,
         formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--begins",
         type=_utc,
         metavar="UTC",
-        help="when it begins, such as 2026-05-01T10:00:00Z; the next full 10 s from then on are taken "
+        help="start, such as 2026-05-01T10:00:00Z, rounded up to the next full 10 s "
         "(default: left to the pilot's switch)",
     )
 
@@ -123,7 +123,7 @@ def _write_json(path: Path, points: dict[int, list[tuple[float, Array]]], begins
         "coordinate_frame": MAV_FRAME_LOCAL_NED,
         "type_mask": YAW_IS_NOT_TOLD,
         "begins_utc": None if begins is None else begins.isoformat(),
-        "added_to_x_y_z": "the place where the drone holds",
+        "added_to_x_y_z": "the position where the drone hovers",
         "drones": {drone_id: [set_point(*point) for point in own] for drone_id, own in points.items()},
     }
     path.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

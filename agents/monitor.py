@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(
         parser,
         "--recording",
-        "play this instead: folders or files of `swarmtrack record`, `sim --record`, or drones' own recordings",
+        "replay recordings instead: folders or files of `swarmtrack record`, `sim --record`, or drones' own recordings",
         metavar="PATH",
         nargs="+",
     )
@@ -46,22 +46,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bind",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="where to serve the page; beyond this machine a token is needed (default: %(default)s)",
+        help="address to serve the page at; beyond this machine a token is required (default: %(default)s)",
     )
     parser.add_argument(
         "--port",
         type=port,
         default=DEFAULT_PORT,
         metavar="PORT",
-        help="0: any free port (default: %(default)s)",
+        help="port of the page, 0: any free one (default: %(default)s)",
     )
     parser.add_argument(
         "--token",
         metavar="TEXT",
-        help="what a viewer has to know (default: random, where one is needed)",
+        help="access token for viewers (default: random, if one is required)",
     )
-    add_file(parser, "--certificate", "serve by TLS with this certificate, PEM; with --key")
-    add_file(parser, "--key", "of the certificate, PEM")
+    add_file(parser, "--certificate", "serve over TLS with this certificate, PEM; requires --key")
+    add_file(parser, "--key", "key of the certificate, PEM")
     add_flag(parser, "--open", "open the page in this machine's browser")
     # Of `swarmtrack sim`, which says on our standard input how the flight ended.
     parser.add_argument("--flight", action="store_true", help=argparse.SUPPRESS)

@@ -21,12 +21,12 @@ NEWS_S = 1.0  # s between two looks at how the disk is doing
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_folder(parser, "dir", "where to; a folder is made below it")
+    add_folder(parser, "dir", "folder for recordings; a subfolder is made for each")
     add_network_arguments(parser)
     add_flag(
         parser,
         "--video",
-        "the drones' pictures too, at most 10 a second each: every drone then makes and sends them",
+        "also record video, at most 10 pictures per second and drone; makes every drone encode and send it",
     )
     add_seconds(parser, "--seconds", "end after S seconds")
     parser.add_argument(

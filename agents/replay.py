@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(
         parser,
         "paths",
-        "recordings, or folders of several, as sim --record made",
+        "recordings, or folders of several, such as sim --record writes",
         metavar="FILE|DIR",
         nargs="+",
     )
@@ -65,10 +65,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(
         parser,
         "--video",
-        "write the recorded pictures with what is tracked in them, of several cameras side by side; .webm or .mp4",
+        "write the recorded pictures with tracks drawn in, several cameras side by side; .webm or .mp4",
     )
     parser.add_argument(
-        "--camera", type=count, metavar="N", help="of several cameras only this one in --video, from 1"
+        "--camera", type=count, metavar="N", help="number of the only camera shown in --video, from 1"
     )
     add_flag(
         parser,
@@ -76,7 +76,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "compare every published list of tracks, not every tenth; exit code 1 unless all are the same bit for bit",
     )
     parser.add_argument(
-        "--jobs", type=count, metavar="N", help="how many recordings at a time (default: two per core)"
+        "--jobs", type=count, metavar="N", help="recordings to replay in parallel (default: two per core)"
     )
 
 

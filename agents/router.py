@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--listen",
         metavar="ADDRESS",
-        help="which of network.routers this is (default: the one that is an address of this machine)",
+        help="its entry in network.routers (default: the one with an address of this machine)",
     )
     add_seconds(parser, "--seconds", "end after S seconds")
     add_flag(parser, "--quiet", "print only warnings")

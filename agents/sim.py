@@ -61,13 +61,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "named",
         nargs="?",
         metavar="SCENARIO",
-        help=f"who flies where, and what goes wrong: a name of --list, or a file (default: {DEFAULT_SCENARIO})",
+        help=f"scenario: a name from --list, or a file (default: {DEFAULT_SCENARIO})",
     )
-    parser.add_argument("--scenario", metavar="NAME|FILE", help="the same")
+    parser.add_argument("--scenario", metavar="NAME|FILE", help="same as SCENARIO")
     add_file(
         parser,
         "--world",
-        "instead of a scenario: drones that others fly, in ArduPilot's or PX4's own simulator ("
+        "instead of a scenario: drones flown in ArduPilot's or PX4's own simulator ("
         + page("rehearse.md")
         + ")",
     )
@@ -76,13 +76,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--drones", type=_drones, metavar="N", help="size of the team (default: the scenario's)"
     )
     add_seconds(parser, "--seconds", "length of the flight (default: the scenario's)")
-    add_seed(parser, "seed of everything random (default: 1, or the world file's)", default=None)
+    add_seed(parser, "random seed (default: 1, or the world file's)", default=None)
     parser.add_argument(
         "--tracker",
         default=DEFAULT_TRACKER,
         type=one_of(TRACKERS, "tracker"),
         metavar="NAME",
-        help=f"of every agent: {', '.join(TRACKERS)} (default: %(default)s)",
+        help=f"tracker of all agents: {', '.join(TRACKERS)} (default: %(default)s)",
     )
     parser.add_argument(
         "--detector",
@@ -91,15 +91,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="onnx: rendered images, the shipped network; oracle: synthetic detections, for large swarms "
         "(default: %(default)s)",
     )
-    parser.add_argument(
-        "--team", metavar="NAME", help="of the agents, for who listens to them (default: a new one each time)"
-    )
+    parser.add_argument("--team", metavar="NAME", help="name of the team (default: a new random one)")
     parser.add_argument(
         "--detail",
         choices=["auto", "full", "reduced", "low"],
         default="auto",
-        help="how much is simulated: full, the scenario's pictures, gyro samples and tracks per second; reduced, "
-        "fewer; low, of smaller pictures, too; auto, as much as the machine has time for (default: %(default)s)",
+        help="level of detail: full, the scenario's rates of frames, gyro samples and tracks; reduced, lower rates; "
+        "low, smaller pictures as well; auto, the highest that this machine has time for (default: %(default)s)",
     )
     _add_outputs(parser)
 
@@ -107,8 +105,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_outputs(parser: argparse.ArgumentParser) -> None:
     """What is written, served and kept."""
     add_file(parser, "--json", "write the verdict and all figures to this file")
-    add_folder(parser, "--record", "record every agent, the truth and the verdict there")
-    add_flag(parser, "--monitor", "serve the web page of the flight")
+    add_folder(parser, "--record", "folder for recordings of all agents, the truth and the verdict")
+    add_flag(parser, "--monitor", "serve the monitor's page of the flight")
     parser.add_argument(
         "--monitor-port",
         type=port,
@@ -118,7 +116,7 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stay",
         action=argparse.BooleanOptionalAction,
-        help="the page stays after the flight, with its verdict, until Ctrl-C (default: in a terminal); "
+        help="keep the page after the flight, with the verdict, until Ctrl-C (default: in a terminal); "
         "--stay implies --monitor",
     )
     add_flag(parser, "--keep", "keep the folder with the configs and logs")

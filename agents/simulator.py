@@ -91,12 +91,12 @@ def parser() -> argparse.ArgumentParser:
         metavar="NAME|FILE",
         help=f"one of configs/scenarios, or a file (default: {DEFAULT_SCENARIO})",
     )
-    add_file(parser, "--world", "a world file: cameras of drones that others fly, instead of a scenario")
-    add_seed(
-        parser, f"seed of everything random (default: {DEFAULT_SEED}, or the world file's)", default=None
+    add_file(
+        parser, "--world", "a world file instead of a scenario: cameras of drones flown in another simulator"
     )
+    add_seed(parser, f"random seed (default: {DEFAULT_SEED}, or the world file's)", default=None)
     parser.add_argument(
-        "--drones", type=int, metavar="N", help="how many drones, where the scenario leaves it open"
+        "--drones", type=int, metavar="N", help="number of drones, if the scenario leaves it open"
     )
     parser.add_argument(
         "--detail",
@@ -110,9 +110,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="T",
         help="world time 0 in seconds of CLOCK_MONOTONIC, instead of --lead",
     )
-    add_seconds(
-        parser, "--lead", f"time until world time 0, once all is there (default: {LEAD:g})", default=LEAD
-    )
+    add_seconds(parser, "--lead", f"time from ready to world time 0 (default: {LEAD:g})", default=LEAD)
     parser.add_argument(
         "--detector",
         choices=["onnx", "oracle"],

@@ -28,7 +28,7 @@ def _add_files(parser: argparse.ArgumentParser) -> None:
         "the .onnx file to write; the checkpoint (.pt) and the report (folder .report) go next to it",
         required=True,
     )
-    add_data(parser, every="of --clips, each N-th frame; of those held out, a fifth of these")
+    add_data(parser, every="use each N-th frame of --clips, and each 5N-th of held-out clips")
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
@@ -41,16 +41,16 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         "--iterations",
         type=count,
         metavar="N",
-        help="how long to train, instead of --minutes: gives the same weights each time",
+        help="how long to train, instead of --minutes: reproducible",
     )
     parser.add_argument(
-        "--network", choices=NETWORKS, default="plain", help="its kind (default: %(default)s)"
+        "--network", choices=NETWORKS, default="plain", help="architecture (default: %(default)s)"
     )
     parser.add_argument(
         "--device",
         choices=("auto", "cpu", "cuda"),
         default="auto",
-        help="where to train (default: %(default)s)",
+        help="device to train on (default: %(default)s)",
     )
     add_seed(parser, "seed of samples and first weights (default: %(default)s)", default=0)
     parser.add_argument(
@@ -71,14 +71,14 @@ def _add_settings(parser: argparse.ArgumentParser) -> None:
         type=count,
         default=1,
         metavar="N",
-        help="processes that draw samples; a GPU needs several (default: %(default)s)",
+        help="processes that generate samples; a GPU needs several (default: %(default)s)",
     )
 
 
 def _add_start(parser: argparse.ArgumentParser) -> None:
     """With which weights it begins."""
     add_flag(parser, "--resume", "continue from the checkpoint next to --out, with the same options")
-    add_file(parser, "--start", "begin with the weights of a checkpoint (.pt) or of a model of ours (.onnx)")
+    add_file(parser, "--start", "initial weights: a checkpoint (.pt) or a swarmtrack model (.onnx)")
 
 
 def _crop(text: str) -> int:

@@ -30,22 +30,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--detector",
         default="default",
         metavar="MODEL",
-        help='whose candidates it looks at, an .onnx file or "default" (default: %(default)s)',
+        help='detector whose candidates it re-examines: an .onnx file or "default" (default: %(default)s)',
     )
-    add_data(parser, every="of --clips, each N-th frame")
+    add_data(parser, every="use each N-th frame of --clips")
     parser.add_argument(
         "--drawn",
         type=count,
         default=DRAWN,
         metavar="N",
-        help="pictures that are drawn, for their candidates (default: %(default)s)",
+        help="rendered pictures to take candidates from (default: %(default)s)",
     )
     parser.add_argument(
         "--simulated",
         type=count,
         default=SIMULATED,
         metavar="N",
-        help="pictures of simulated worlds, likewise (default: %(default)s)",
+        help="pictures of simulated worlds to take candidates from (default: %(default)s)",
     )
     parser.add_argument(
         "--iterations", type=count, default=4500, metavar="N", help="steps (default: %(default)s)"

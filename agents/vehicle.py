@@ -63,21 +63,21 @@ def parser() -> argparse.ArgumentParser:
     """Of the program's command line."""
     parser = argparse.ArgumentParser(
         prog="swarmtrack-agent",
-        description="Track the drones in this drone's camera, and learn who is who.",
+        description="Track the drones in this drone's camera, and identify teammates.",
         epilog="a first look, without any hardware:\n"
         f"  swarmtrack-agent --config {shlex.quote(shipped('sim.toml'))} --seconds 20",
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
     add_file(parser, "--config", "the drone's config, TOML", required=True)
-    add_flag(parser, "--check", "validate the config and what it points at, then exit")
-    add_seconds(parser, "--seconds", "stop after so long (default: never)")
-    add_flag(parser, "--quiet", "no line a second (the default under systemd), only the log")
+    add_flag(parser, "--check", "validate the config and the files it refers to, then exit")
+    add_seconds(parser, "--seconds", "stop after S seconds (default: never)")
+    add_flag(parser, "--quiet", "print no status line per second, only the log (default under systemd)")
     parser.add_argument(
         "--log",
         default="warning",
         choices=["debug", "info", "warning", "error"],
-        help="how much to log to stderr (default: warning)",
+        help="level of the log on stderr (default: warning)",
     )
     parser.add_argument("--version", action="version", version=f"swarmtrack {__version__}")
     return parser

@@ -51,17 +51,15 @@ video = {video}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "file", type=Path, metavar="FILE", help="the video; of several cameras, one at a time"
-    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="the video of one camera")
     parser.add_argument(
         "--fov",
         type=_angle,
         default=FOV_DEG,
         metavar="DEG",
-        help="angle of the lens from left to right (default: %(default)g)",
+        help="horizontal field of view (default: %(default)g)",
     )
-    add_folder(parser, "--out", "where to write (default: FILE's name, here)")
+    add_folder(parser, "--out", "output folder (default: FILE's name, in the current folder)")
     add_file(parser, "--model", "the detector, an ONNX file (default: the shipped one)")
 
 

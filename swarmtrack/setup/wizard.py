@@ -32,8 +32,8 @@ _T = TypeVar("_T")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
-        "Write drone-ID.toml, and team.toml where there is none. On a terminal, it asks for what the options leave "
-        "open."
+        "Write drone-ID.toml, and team.toml where there is none. On a terminal, it prompts for "
+        "missing options."
     )
     tell = parser.add_argument
     kinds = ", ".join(answers.WIRINGS)
@@ -50,7 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="file of Kalibr, ROS camera_info, OpenCV or EuRoC; copied to DIR",
     )
-    tell("--fov", metavar="DEG", help="angle from left to right, if there is no calibration")
+    tell("--fov", metavar="DEG", help="horizontal field of view, if there is no calibration")
     tell("--autopilot", metavar="KIND", help=f"{kinds}, or a link's address (default: px4-uart)")
     tell("--start", nargs="+", metavar="S", help="NORTH EAST DOWN YAW in m and degrees; or gps, or local")
     tell(
@@ -62,13 +62,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     tell("--peer", action="append", metavar="ID=HOST", help="one per drone of the team, including this one")
     tell("--keys", metavar="DIR", help="folder of keys; {id} stands for drone.id")
-    tell("--insecure", action="store_true", help="speak beyond this machine without keys")
-    tell("--out", type=Path, default=Path(), metavar="DIR", help="where the files go (default: here)")
-    tell("--force", action="store_true", help="overwrite what is there")
+    tell("--insecure", action="store_true", help="connect beyond this machine without keys")
+    tell(
+        "--out",
+        type=Path,
+        default=Path(),
+        metavar="DIR",
+        help="folder for the files (default: the current one)",
+    )
+    tell("--force", action="store_true", help="overwrite existing files")
     tell(
         "--example",
         action="store_true",
-        help=f"write {example.NAME} instead: every key, explained; asks nothing",
+        help=f"write {example.NAME} instead: every key, explained; no prompts",
     )
 
 

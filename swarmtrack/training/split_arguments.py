@@ -13,8 +13,12 @@ if TYPE_CHECKING:
 
 def add_data(parser: argparse.ArgumentParser, *, every: str) -> None:
     """What is learned from, and what is held out. every: the help of --every."""
-    add_folder(parser, "--data", "labelled images: CSV, COCO or YOLO; without it all is procedural")
-    add_folder(parser, "--clips", "labelled videos: NAME.mp4 and NAME_gt.csv, birds if the name says bird")
+    add_folder(
+        parser, "--data", "labelled images: CSV, COCO or YOLO; without them all training images are generated"
+    )
+    add_folder(
+        parser, "--clips", "labelled videos: NAME.mp4 and NAME_gt.csv, with bird in the name where birds fly"
+    )
     parser.add_argument(
         "--every",
         type=count,
@@ -22,7 +26,7 @@ def add_data(parser: argparse.ArgumentParser, *, every: str) -> None:
         metavar="N",
         help=f"{every} (default: %(default)s)",
     )
-    add_folder(parser, "--validate", "more labelled images, looked at but never trained on")
+    add_folder(parser, "--validate", "more labelled images, for validation only")
     add_list(parser, "--hold-out", "keep a scene for validation; may be repeated", "SCENE")
     add_flag(parser, "--hold-out-negatives", "keep a third of the clips without drones for validation")
     parser.add_argument(

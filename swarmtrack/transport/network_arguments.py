@@ -11,12 +11,12 @@ from swarmtrack.transport.settings import NetworkSettings
 
 
 def add_network_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--team", metavar="NAME", help=f"the team to hear (default: {NetworkSection().team})")
+    parser.add_argument("--team", metavar="NAME", help=f"name of the team (default: {NetworkSection().team})")
     add_file(parser, "--config", "the team's file: its [network] has the team's name and addresses")
     add_list(
         parser,
         "--connect",
-        "where an agent listens, HOST[:PORT] or as tcp/192.168.1.5:7447; again for more "
+        "address of an agent, HOST[:PORT] or such as tcp/192.168.1.5:7447; may be repeated "
         "(default: all on this machine)",
         "ADDRESS",
     )

@@ -214,7 +214,7 @@ def test_the_health_file_says_how_long_ago_a_frame_was_tracked(tmp_path):
     assert troubles[12.5] == ["camera: unplugged; waiting for it"]
     assert troubles[14.5][1:] == ["no frame was tracked for 11 s, expected one within 10 s"]
     assert find_troubles(said[1.5], BEGIN + 6.5, max_age_s=5.0, max_frame_age_s=10.0) == [
-        "last heard 6 s ago, expected within 5 s"
+        "last written 6 s ago, expected within 5 s"
     ]
     assert not path.exists()  # who has ended has no health
 

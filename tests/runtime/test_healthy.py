@@ -86,7 +86,7 @@ def test_an_agent_that_went_silent_is_not(written, capsys):
     assert healthy(capsys, written(age=4.0))[0] == HEALTHY
     code, said = healthy(capsys, written(age=6.0))
     assert code == UNHEALTHY
-    assert "last heard 6 s ago, expected within 5 s" in said
+    assert "last written 6 s ago, expected within 5 s" in said
     assert healthy(capsys, written(age=6.0), "--max-age", "10")[0] == HEALTHY
 
 
@@ -161,7 +161,7 @@ def test_an_agent_is_healthy_while_it_flies_not_while_it_hangs_and_not_when_it_h
     until(lambda: healthy(capsys, path)[0] == HEALTHY)
     agent.send_signal(signal.SIGSTOP)
     time.sleep(1.5)
-    assert "last heard" in healthy(capsys, path, "--max-age", "1")[1]
+    assert "last written" in healthy(capsys, path, "--max-age", "1")[1]
     agent.send_signal(signal.SIGCONT)
     until(lambda: healthy(capsys, path, "--max-age", "2")[0] == HEALTHY)
     agent.send_signal(signal.SIGTERM)
