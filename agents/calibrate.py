@@ -225,7 +225,7 @@ def _say(found: Any, problems: list[str], for_the_config: str, mounted: MountedC
     )
     print(
         f"clocks     time_offset_s = {found.time_offset_s:.4f} ± {found.time_offset_sigma_s:.4f} "
-        f"(the config says {mounted.time_offset_s:g})"
+        f"(config: {mounted.time_offset_s:g})"
     )
     bias = ", ".join(f"{np.degrees(rate):.2f}" for rate in found.bias)
     print(f"gyro       bias [{bias}]°/s")

@@ -121,7 +121,9 @@ def _write_board(board: Board, out: Path, paper: str) -> int:
         out.write_bytes(data)
     except OSError as error:
         raise SourceError(f"--out {out}: {error.strerror}") from None
-    print(f"{out}: print it at 100 %, measure a square, and tell it: --square-mm {1e3 * board.square_m:g}")
+    print(
+        f"{out}: print it at 100 %, measure a square, and give its side: --square-mm {1e3 * board.square_m:g}"
+    )
     return DONE
 
 
@@ -224,7 +226,7 @@ def _progress(views: BoardViews) -> str:
     lines = [*views.picture(), f"{len(views.kept)} views of {views.boards} boards seen"]
     missing = views.missing()
     return "\n".join(
-        [*lines, *(f"still: {what}" for what in missing)] if missing else [*lines, "all was shown"]
+        [*lines, *(f"still: {what}" for what in missing)] if missing else [*lines, "everything was shown"]
     )
 
 

@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
         wanted = "no message" if args.count is None else f"{heard} of {args.count} messages"
         after = "" if args.seconds is None else f" in {args.seconds:g} s"
         print(
-            f"swarmtrack echo: heard {wanted} on {expression}{after}; "
+            f"swarmtrack echo: received {wanted} on {expression}{after}; "
             f"does an agent of team {network.team!r} run here, or is --connect missing?"
             f"{f' {hint[0].upper()}{hint[1:]}' if hint else ''}",
             file=sys.stderr,
@@ -104,7 +104,7 @@ def line(sample: Sample) -> Mapping[str, Any]:
         return {"key": sample.key, "alive": sample.alive}
     kind = None if address is None else keys.MESSAGES.get(address.kind)
     if kind is None:
-        return {"key": sample.key, "error": "no message of ours is on this key", "bytes": len(sample.payload)}
+        return {"key": sample.key, "error": "unknown kind of key", "bytes": len(sample.payload)}
     try:
         return {"key": sample.key, **as_record(codec.decode(kind, sample.payload))}
     except DecodeError as error:

@@ -86,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     scheme, log = ("tlog", args.tlog) if args.ulog is None else ("ulog", args.ulog)
     for name, path in ((f"--{scheme}", log), ("--video", args.video)):
         if not path.is_file():
-            raise SourceError(f"{name} {path}: there is no such file")
+            raise SourceError(f"{name} {path}: no such file")
     asked = {
         "camera": {"source": f"file://{quote(str(args.video.absolute()))}?pace=fast"},
         "autopilot": {"link": f"{scheme}:{log.absolute()}?speed=0"},
@@ -139,7 +139,7 @@ def _first_utc(ulog: Path) -> float:
     if flight.utc_offset is not None:
         return first + flight.utc_offset
     print(
-        f"swarmtrack import: --ulog {ulog}: no GPS told the time of day; the recording is dated by the file",
+        f"swarmtrack import: --ulog {ulog}: no GPS time in the log; the recording is dated by the file",
         file=sys.stderr,
     )
     return ulog.stat().st_mtime - (last - first)

@@ -111,14 +111,14 @@ async def _judge(args: argparse.Namespace, network: NetworkSettings, spectator: 
         asyncio.get_running_loop().add_signal_handler(number, task.cancel)
     clock = SystemClock()
     deadline = clock.now() + args.patience
-    spectator.note(f"asking {args.simulator} what is flown …")
+    spectator.note(f"asking {args.simulator} for its scenario …")
     flown = await ask_simulator(args.simulator, args.patience)
     whole, followed = as_told(load_scenario(flown.scenario, seed=flown.seed, drones=flown.drones))
     scenario = flown.detail.of(whole)
     if followed:
         raise NotThere(
             f"{args.simulator}: its drones {', '.join(map(str, followed))} are flown by a ground station, expected a "
-            f"scenario by plan; swarmtrack sim judges guided ones"
+            "planned scenario; swarmtrack sim judges guided ones"
         )
     watch = Watch(scenario, clock, clock, epoch=flown.epoch, seconds=0.0)
     with ungrouped():
@@ -157,14 +157,16 @@ async def ask_simulator(url: str, patience_s: float) -> FlownScenario:
                     told = await response.json()
                 if "world" in told:
                     raise NotThere(
-                        f"{url}: draws drones that others fly, expected a scenario by plan; swarmtrack sim --world "
-                        "judges the others"
+                        f"{url}: draws drones of another simulator, expected a planned scenario; swarmtrack sim "
+                        "--world judges such drones"
                     )
                 return _understood(told, (asked + clock.now()) / 2.0)
             except (aiohttp.ClientError, TimeoutError) as error:
                 trouble = str(error) or "no answer"
             except (ValueError, KeyError, TypeError):
-                raise NotThere(f"{url}: is no simulator of ours, expected its --host and --port") from None
+                raise NotThere(
+                    f"{url}: is not a swarmtrack simulator, expected its --host and --port"
+                ) from None
             await asyncio.sleep(ASK_S)
     raise NotThere(f"{url}: {trouble}; is a simulator there, started with --host and --port?")
 
@@ -217,6 +219,6 @@ async def _everybody(watch: Watch, patience_s: float) -> None:
     except TimeoutError:
         who = ", ".join(map(str, watch.missing))
         raise NotThere(
-            f"after {patience_s:.0f} s drone {who} has not announced itself, or has no tracks: do its agent's log and "
-            f"`swarmtrack echo 'health/*'` say why?"
+            f"after {patience_s:.0f} s drone {who} has not announced itself, or has no tracks: see its agent's log "
+            "and `swarmtrack echo 'health/*'`"
         ) from None

@@ -101,7 +101,7 @@ def _issue(args: argparse.Namespace, now: datetime) -> None:
     outcome = authority.issue(wanted, now, out=args.out, days=days, force=args.force)
     for name, folder in outcome.folders.items():
         print(f"{folder}: copy this folder to {name}, and to no other machine")
-    _tell_outdated(args.folder, outcome.outdated, "do not hear those who are new")
+    _tell_outdated(args.folder, outcome.outdated, "reject new members")
 
 
 def _revoke(args: argparse.Namespace, now: datetime) -> None:
@@ -112,9 +112,10 @@ def _revoke(args: argparse.Namespace, now: datetime) -> None:
     for name in map(from_user, args.names):
         outcome = authority.revoke(name)
         print(
-            f"{name} is out of the roster. Its certificate is still valid: do not use this name again before it expires"
+            f"{name} is removed from the roster. Its certificate is still valid: do not use this name again before it "
+            "expires"
         )
-        _tell_outdated(args.folder, outcome.outdated, f"still hear {name}")
+        _tell_outdated(args.folder, outcome.outdated, f"still accept {name}")
 
 
 def _list(args: argparse.Namespace, now: datetime) -> None:

@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.replay.flight_labels import Body, FlightLabels
 
     if args.out.exists() and (not args.out.is_dir() or any(args.out.iterdir())):
-        raise SourceError(f"--out {args.out}: is there already, expected a new folder")
+        raise SourceError(f"--out {args.out}: already exists, expected a new folder")
     recordings = recordings_below(args.path)
     found = FlightLabels(recordings, Body(args.span, args.height or args.span / 3))
     if not found.observers:

@@ -52,7 +52,7 @@ def _info(path: Path, *, as_json: bool) -> int:
 
 def _print(summary: Summary) -> None:
     preface = summary.preface
-    who = f"drone {preface['drone_id']}" if preface["kind"] == "drone" else "what was heard of the swarm"
+    who = f"drone {preface['drone_id']}" if preface["kind"] == "drone" else "messages of the swarm"
     begin = datetime.fromtimestamp(summary.begin_ns * 1e-9, UTC)
     size = sum(size for _, size, _ in summary.files)
     print(f"{summary.folder}: {who} of team {preface['team']}")
@@ -60,9 +60,9 @@ def _print(summary: Summary) -> None:
         f"  {begin:%Y-%m-%d %H:%M:%S} UTC, {summary.seconds:.1f} s, {len(summary.files)} files, {size / 1e6:.1f} MB"
     )
     for damage in summary.damage:
-        print(f"  damaged: {damage}; `swarmtrack log repair` makes it whole")
+        print(f"  damaged: {damage}; `swarmtrack log repair` completes it")
     if int(preface["segment"]) > 1:
-        print(f"  begins with segment {preface['segment']}: older ones gave way")
+        print(f"  begins with segment {preface['segment']}: older ones were deleted")
     width = max((len(name) for name in summary.topics), default=0)
     for name, topic in sorted(summary.topics.items()):
         rate = (

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 DEFAULT_PORT = 8080
 MAX_ENDING = 1 << 20  # bytes of a verdict
 UNENCRYPTED = (
-    "the page, and the token in its address, travel unencrypted: whoever hears this network can look, too; "
+    "the page, and the token in its address, travel unencrypted: anyone on this network can read them; "
     "--certificate FILE --key FILE serve it by TLS"
 )
 

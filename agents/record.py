@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"swarmtrack record: {lost} messages were lost", file=sys.stderr)
     if not heard:
         print(
-            f"swarmtrack record: heard nothing of team {network.team!r}; does an agent run here, or is --connect "
+            f"swarmtrack record: received nothing from team {network.team!r}; does an agent run here, or is --connect "
             "missing?",
             file=sys.stderr,
         )

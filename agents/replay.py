@@ -129,7 +129,7 @@ def run(args: argparse.Namespace) -> int:
     flight = next((recording for recording in recordings if recording.is_simulated_flight), None)
     if not drones:
         raise RecordingError(
-            f"{', '.join(map(str, args.paths))}: nothing there that a drone was told, expected an agent's recording"
+            f"{', '.join(map(str, args.paths))}: no inputs of a drone in it, expected an agent's recording"
         )
     if args.detect:
         _check_pictures(drones, "--detect")
@@ -290,7 +290,7 @@ def _print(one: _Flown, what_if: bool) -> None:
         print(f"  {line}")
     if recording.first_segment > 1:
         print(
-            f"  begins with segment {recording.first_segment}: what came before is not known, tracks may differ"
+            f"  begins with segment {recording.first_segment}: earlier inputs are missing, tracks may differ"
         )
     if replayed.inputs_lost:
         print(f"  {replayed.inputs_lost} inputs are missing in the recording, tracks may differ")
@@ -343,7 +343,7 @@ def _judge(flight: Recording, flown: list[_Flown], as_heard: Judged | None, what
     print_verdict(judged.report, Console())
     unreplayed = judged.unreplayed(answers)
     if unreplayed:
-        print(f"{unreplayed} messages with tracks were heard whose inputs are not recorded")
+        print(f"{unreplayed} messages with tracks have no recorded inputs")
     if not what_if:
         differences = judged.differences
         print(
@@ -394,7 +394,7 @@ def _read_other(path: Path) -> dict[tuple[int, str], list[SeenScan]]:
         ) from None
     except (KeyError, TypeError, ValueError) as error:
         raise RecordingError(
-            f"--against {path}: is no JSON of a replay ({error!r}), expected what replay --json wrote"
+            f"--against {path}: is not the JSON of a replay ({error!r}), expected what replay --json wrote"
         ) from None
 
 
@@ -417,4 +417,4 @@ def _plot(flown: list[_Flown], path: Path, against: str) -> None:
     from swarmtrack.replay.plot import plot
 
     diffs = {one.recording.drone_id: one.diff for one in flown if one.diff is not None}
-    plot(diffs, path, f"{flown[0].tracker} beside {against}")
+    plot(diffs, path, f"{flown[0].tracker} and {against}")

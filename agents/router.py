@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"swarmtrack router: {error}", file=sys.stderr)
         return 1
     if newer is not None:
-        log.warning("roster number %d: begins anew", newer.roster.number)
+        log.warning("roster number %d: starts again", newer.roster.number)
         # Within this process, Zenoh would hold the port for half a minute.
         os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     return 0

@@ -189,7 +189,7 @@ def _load(arguments: argparse.Namespace) -> Scenario | OutsideWorld:
             detail=arguments.detail,
         )
         if arguments.epoch is not None:
-            raise SourceError("--epoch with --world, expected --lead: it begins when the truth is told")
+            raise SourceError("--epoch with --world, expected --lead: it begins when the truth arrives")
         return load_world(arguments.world, seed=arguments.seed)
     arguments.scenario = arguments.scenario or DEFAULT_SCENARIO
     arguments.seed = DEFAULT_SEED if arguments.seed is None else arguments.seed

@@ -136,7 +136,7 @@ def _check_files(args: argparse.Namespace) -> None:
     if args.start is not None and not args.start.is_file():
         raise SourceError(f"--start {args.start}: no such file")
     if args.resume and args.start is not None:
-        raise SourceError("--resume and --start: expected one of them, both say where to begin")
+        raise SourceError("--resume and --start: expected one of them, both set the initial weights")
     if args.resume and not args.out.with_suffix(".pt").is_file():
         raise SourceError(f"--resume: {args.out.with_suffix('.pt')}: no such checkpoint")
 

@@ -39,7 +39,7 @@ source = {source}
 intrinsics = {{ fx = {f:.1f}, fy = {f:.1f}, cx = {cx:.1f}, cy = {cy:.1f}, width = {width}, height = {height} }}
 
 [autopilot]
-link = "none"                     # as if the camera did not turn
+link = "none"                     # the camera is assumed not to turn
 
 [network]
 transport = "memory"              # sends nothing
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     video = VideoFile(args.file, None)
     out = args.out if args.out is not None else Path(f"{args.file.stem}-tracked")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise SourceError(f"--out {out}: is there already, expected an empty folder or a new one")
+        raise SourceError(f"--out {out}: already exists, expected an empty folder or a new one")
     try:
         out.mkdir(parents=True, exist_ok=True)
         config = _write_config(args, out, video.size)
@@ -162,7 +162,7 @@ def _tell(camera: LinkStatus, out: Path, tracks: set[int]) -> int:
     here = os.path.relpath(out)
     print(f"  {here}/annotated.webm  the video with its tracks; a browser plays it")
     print(f"  {here}/tracks.csv      a row for each track in each frame")
-    print(f"  {here}/tracks.jsonl    the same with covariances, and what was not confirmed")
+    print(f"  {here}/tracks.jsonl    the same with covariances, and unconfirmed tracks")
     if not camera.ok:
         print(f"swarmtrack video: {camera.text}", file=sys.stderr)
         return 1

@@ -54,7 +54,7 @@ class Follower:
         own = perceived.own_flight(t)
         if own is None:
             return LocalSetpoint(
-                STANDSTILL, 0.0, Setpoint(t, STANDSTILL, 0.0, Why.OWN_POSE, "own position is not known")
+                STANDSTILL, 0.0, Setpoint(t, STANDSTILL, 0.0, Why.OWN_POSE, "own position is unknown")
             )
         own = replace(own, clock_known=engagement.clock_known)
         states = perceived.anybody(t)

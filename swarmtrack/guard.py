@@ -203,7 +203,7 @@ class Guard:
         """What a decision has against it, in words; empty: nothing."""
         limits, velocity = self.limits, decision.velocity
         if not all(map(math.isfinite, (*velocity, decision.yaw_rate))):
-            return "a velocity that is no number"
+            return "a velocity that is not a number"
         speed, down = math.hypot(*velocity), velocity[2]
         for name, value, most in (
             ("speed", speed, limits.speed),
@@ -217,7 +217,7 @@ class Guard:
             return ""
         is_known = 0.0 <= now - decision.place_t <= OLDEST_PLACE_S and all(map(math.isfinite, decision.place))
         if self._centre is None or not is_known:
-            return "its place is not known"
+            return "its position is unknown"
         north, east, low = (here - there for here, there in zip(decision.place, self._centre, strict=True))
         away = math.hypot(north, east)
         outward = (velocity[0] * north + velocity[1] * east) / away if away > 0.0 else 0.0

@@ -181,7 +181,7 @@ def test_whoever_brakes_may_do_so_anywhere():
 def test_without_a_place_nobody_is_moved():
     told = Told().decide(3.0, place_t=-math.inf)
     assert {point for _, point in told.sent} == {ZERO}
-    assert told.releases == ["refused: its place is not known"]
+    assert told.releases == ["refused: its position is unknown"]
 
 
 def test_the_fence_stands_where_the_drone_was_engaged_and_its_floor_as_far_below_as_was_said_then():

@@ -113,11 +113,9 @@ def _mistake(text: str, found: str) -> SourceError:
 
 def _unknown_scheme(text: str, name: str) -> SourceError:
     if name.lower() == "tcpin":
-        return _mistake(
-            text, "tcpin waits for the autopilot to call, which is not offered: let us call it with tcp:"
-        )
+        return _mistake(text, "tcpin is not supported: connect to the autopilot with tcp:")
     if re.fullmatch(r"([^:]+:)?\d+", text):
-        return _mistake(text, "has no scheme: udpin: listens here, udpout: and tcp: call that address")
+        return _mistake(text, "has no scheme: udpin: listens here, udpout: and tcp: connect to that address")
     near = difflib.get_close_matches(name.lower(), SCHEMES, n=1)
     hint = f" (did you mean {near[0]!r}?)" if near else ""
     return _mistake(text, f"unknown scheme {name!r}{hint}")
@@ -133,7 +131,7 @@ def _network(text: str, scheme: Scheme, rest: str) -> LinkAddress:
         )
     host = host.removeprefix("[").removesuffix("]")
     if not host and scheme != "udpin":
-        raise _mistake(text, "names no host to call")
+        raise _mistake(text, "has no host to connect to")
     try:
         host.encode("idna")
     except UnicodeError:
@@ -159,7 +157,7 @@ def _serial(text: str, rest: str) -> LinkAddress:
 def _recording(text: str, scheme: Scheme, rest: str) -> LinkAddress:
     path, _, query = rest.partition("?")
     if not path:
-        raise _mistake(text, "names no file")
+        raise _mistake(text, "has no file")
     speed = 1.0
     for key, value in parse_qsl(query, keep_blank_values=True):
         if key == "pace" and value in ("fast", "realtime"):

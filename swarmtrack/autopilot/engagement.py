@@ -48,7 +48,7 @@ PX4_MODES = {1: "MANUAL", 2: "ALTCTL", 3: "POSCTL", 4: "AUTO", 5: "ACRO", 6: "OF
 PX4_AUTO_MODES = {2: "TAKEOFF", 3: "HOLD", 4: "MISSION", 5: "RTL", 6: "LAND", 8: "FOLLOW", 9: "PRECLAND"}
 
 
-LEFT, STOOD_STILL = "the pilot left the mode", "the agent stood still"
+LEFT, STOOD_STILL = "the pilot left the mode", "the agent stalled"
 
 
 class EngagementStage(Enum):
@@ -222,7 +222,7 @@ class PilotEngagement:
 
     def _who_withdrew(self, t: float) -> str:
         heard = self._switch is not None and self._switch.is_heard(t)
-        return "the pilot's switch is off" if heard else "the transmitter is not heard"
+        return "the pilot's switch is off" if heard else "no signal from the transmitter"
 
     def _mode_in_words(self, t: float) -> str:
         why = f" ({self._failsafe})" if t - self._failsafe_at < FAILSAFE_TOLD_WITHIN_S else ""

@@ -151,12 +151,12 @@ class GyroDelays:
         if self._told_s is not None:
             return GyroDelay(self._told_s, 0.0, "motion.gyro_delay_s")
         if parameter is None:
-            return GyroDelay(0.0, GYRO_DELAY_UNKNOWN_SIGMA_S, "of this autopilot no filter is known")
+            return GyroDelay(0.0, GYRO_DELAY_UNKNOWN_SIGMA_S, "the filter of this autopilot is unknown")
         value = self._reader.values.get(parameter.name)
         if value is not None and 0.0 <= parameter.delay(value) <= GYRO_DELAY_LONGEST_S:  # NaN is not
             return GyroDelay(
                 parameter.delay(value), GYRO_DELAY_TOLD_SIGMA_S, f"{parameter.name} is {value:g} Hz"
             )
-        found = "was not told" if value is None else f"was told as {value:g} Hz"
+        found = "was not reported" if value is None else f"was reported as {value:g} Hz"
         cause = f"{parameter.name} {found}, and usually is {parameter.usual_hz:g} Hz"
         return GyroDelay(parameter.delay(parameter.usual_hz), parameter.usual_sigma, cause)

@@ -127,7 +127,7 @@ class LinkState:
         expected = "" if contact.expected_system is None else f" of system {contact.expected_system}"
         return (
             "no heartbeat",
-            f"frames but no autopilot heartbeat{expected} (heard: {others or 'nobody by name'})",
+            f"frames but no autopilot heartbeat{expected} (heard: {others or 'no autopilot by name'})",
         )
 
     def _imu_text(self, now: float) -> str:
@@ -151,7 +151,7 @@ class LinkState:
     def status(self, now: float) -> LinkStatus:
         """One line for people, and the counters, all since the start."""
         if self.link.address.scheme == "none":
-            return LinkStatus("autopilot", True, "none: no autopilot asked for")
+            return LinkStatus("autopilot", True, "none: no autopilot configured")
         text = f"{self.link.address}: {self.state}: {self._sentence(now)[1]}"
         framer, requests, codec = self.framer, self.requests, self.codec
         counters: dict[str, float] = {

@@ -178,9 +178,7 @@ class UdpLink(LiveLink):
             async with asyncio.timeout(LINK_CONNECT_TIMEOUT_S):
                 self._socket = await open_socket(host, port, self._clock, listens=self._listens)
         except TimeoutError as error:  # nothing else of UDP takes its time
-            raise LinkDown(
-                f"no name server tells within {LINK_CONNECT_TIMEOUT_S:g} s where {host} is"
-            ) from error
+            raise LinkDown(f"no name server resolved {host} within {LINK_CONNECT_TIMEOUT_S:g} s") from error
         except OSError as error:
             raise LinkDown(self._why(error)) from error
         loop = asyncio.get_running_loop()
@@ -218,7 +216,7 @@ class UdpLink(LiveLink):
         if self._stranger is None and self._peer is not None:
             self._stranger = sender
             log.warning(
-                "%s: %s port %d speaks as well: not read while the autopilot does, at %s port %d",
+                "%s: %s port %d sends as well: ignored while the autopilot sends, at %s port %d",
                 self.address,
                 *sender[:2],
                 *self._peer[:2],
@@ -226,7 +224,7 @@ class UdpLink(LiveLink):
 
     def _note(self, error: OSError) -> None:
         refused = isinstance(error, ConnectionRefusedError)
-        self.remark = "nobody listens there" if refused else network_trouble(error, self.address)
+        self.remark = "nothing listens there" if refused else network_trouble(error, self.address)
 
     def send(self, data: bytes) -> None:
         if self._socket is None or (self._listens and self._peer is None):
@@ -413,7 +411,7 @@ class RecordingLink(ABC):
 
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
         if not os.path.isfile(address.path):
-            raise SourceError(f"autopilot link {address}: there is no file {address.path}")
+            raise SourceError(f"autopilot link {address}: no such file: {address.path}")
         self.address = address
         self._clock = clock
 
@@ -552,7 +550,7 @@ def serial_trouble(path: str, number: int | None, text: str) -> str:
         return f"no such device: {path} (not plugged in, or under another name: see /dev/serial/by-id)"
     if number in (errno.EACCES, errno.EPERM):
         return (
-            f"permission: {path} is not ours to open, add yourself to dialout: "
+            f"permission: cannot open {path}, add yourself to dialout: "
             "sudo usermod -aG dialout $USER, then log in again"
         )
     if number in (errno.EBUSY, errno.EAGAIN):
@@ -568,7 +566,7 @@ def network_trouble(error: OSError, address: LinkAddress) -> str:
     if isinstance(error, socket.gaierror):
         return f"the name {address.host} is unknown here"
     if isinstance(error, ConnectionRefusedError):
-        return f"nobody listens at {where}"
+        return f"nothing listens at {where}"
     if error.errno == errno.EADDRNOTAVAIL:
         return f"{address.host} is not an address of this machine"
     return f"{where}: {os.strerror(error.errno) if error.errno else error}"

@@ -199,7 +199,7 @@ class MavlinkAutopilot:
             log.warning("fastcrc is not installed: reading MAVLink costs three times the CPU time")
         if self._link.address.reachable_from_outside and not self._codec.has_key:
             log.warning(
-                "%s: anybody who reaches this address may speak before the autopilot does, and then as it: listen on "
+                "%s: any host that reaches this address can send first and be taken for the autopilot: listen on "
                 "127.0.0.1, or set autopilot.signing_key (%s)",
                 self._link.address,
                 page("security.md"),
@@ -392,7 +392,7 @@ class MavlinkAutopilot:
         message = self._codec.decode(frame)
         if message is None and self._codec.has_key:
             who = f"{frame.system}/{frame.component}"
-            fault = "signs with another key or an old time" if frame.signed else "speaks unsigned"
+            fault = "signs with another key or an old time" if frame.signed else "sends unsigned messages"
             trouble = f"{who} {fault}, and we hold a signing key"
             self._contact.signature_trouble = trouble
             self._news.warn(f"{who} {fault}", "refused: %s", trouble)

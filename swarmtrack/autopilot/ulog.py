@@ -109,12 +109,12 @@ def _check_magic(path: Path) -> None:
         raise SourceError(f"{path}: cannot be read ({error.strerror}), expected a ULog of PX4") from None
     if begin.startswith(DATAFLASH):
         raise SourceError(
-            f"{path}: is a DataFlash log of ArduPilot, which is not read, expected a ULog of PX4 (.ulg), or the "
+            f"{path}: is a DataFlash log of ArduPilot, which is not supported, expected a ULog of PX4 (.ulg), or the "
             "ground station's telemetry log of the same flight (.tlog)"
         )
     if begin != ULOG_MAGIC:
         raise SourceError(
-            f"{path}: is no ULog (it begins with {begin.hex(' ')}), expected a log of PX4 (.ulg)"
+            f"{path}: is not a ULog (it begins with {begin.hex(' ')}), expected a log of PX4 (.ulg)"
         )
 
 

@@ -66,10 +66,10 @@ def fit(seen: Sequence[Seen], size: tuple[int, int], model: Model = "radtan") ->
                 else "it does not converge"
             )
             raise CalibrationError(
-                f"the board's views make no {model} camera ({reason}): show it tilted, in all parts of the picture"
+                f"no {model} camera fits the board's views ({reason}): show it tilted, in all parts of the picture"
             ) from None
         except ValueError as error:
-            raise CalibrationError(f"the fit is no camera: {error}") from None
+            raise CalibrationError(f"the fit is not a camera: {error}") from None
         errors = np.array([np.sqrt((r**2).sum(axis=1).mean()) for r in solution.residuals])
         good = errors <= max(OUTLIER * float(np.median(errors)), 0.05)
         if good.all() or good.sum() < LEAST_VIEWS:

@@ -65,7 +65,7 @@ def check_pixels(data: bytes) -> tuple[int, int]:
 def jpeg_size(data: bytes) -> tuple[int, int]:
     """(width, height) from the frame header, without decoding. ITU-T T.81, annex B."""
     if data[:2] != b"\xff\xd8":
-        raise BadImage(f"no JPEG: starts with {data[:4].hex(' ') or 'nothing'}")
+        raise BadImage(f"not a JPEG: starts with {data[:4].hex(' ') or 'nothing'}")
     at = 2
     while at + 9 <= len(data):
         if data[at] != 0xFF:

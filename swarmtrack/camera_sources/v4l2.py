@@ -366,7 +366,9 @@ def open_capture(path: str, options: V4l2Options, size: tuple[int, int] | None) 
         try:
             fcntl.ioctl(fd, abi.VIDIOC_QUERYCAP, capability)
         except OSError as error:
-            raise CameraUnavailable(f"{path} is no V4L2 device ({os.strerror(error.errno or 0)})") from None
+            raise CameraUnavailable(
+                f"{path} is not a V4L2 device ({os.strerror(error.errno or 0)})"
+            ) from None
         driver = capability.driver.decode("utf-8", "replace")
         _expect_capture_node(path, capability)
         pix = _set_format(path, fd, options.fourcc, size)

@@ -63,7 +63,7 @@ class VideoFile:
         try:
             if not capture.isOpened():
                 raise SourceError(
-                    f"video file {path}: {path.stat().st_size} bytes that are no video that can be read; "
+                    f"video file {path}: {path.stat().st_size} bytes that are not a readable video; "
                     "a recording that was cut off before it was closed looks like this"
                 )
             found, image = capture.read()

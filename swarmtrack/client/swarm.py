@@ -180,7 +180,7 @@ class Swarm:
         who = "no drone" if drone_id is None else f"drone {drone_id}"
         said = f"{who} of team {team!r} was {'' if drone_id is None else 'not '}heard within {patience_s:g} s"
         if drone_id in here:
-            return f"{said}, though it lives: has its agent found its camera?"
+            return f"{said}, though it is alive: has its agent found its camera?"
         if here:
             alive = ", ".join(map(str, here))
             return f"{said}; alive are {alive}"

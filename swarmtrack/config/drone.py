@@ -78,7 +78,7 @@ class Start(Section):
     position_sigma_m: Positive = Field(
         default=UNWRITTEN_SIGMA_M,
         description="standard deviation of the start position, m per axis: 0.1 by a tape, 0.3 on a marked pad; "
-        'unwritten it is unknown, a metre; with from = "gps" it replaces the receiver\'s own',
+        '1 m is assumed without it; with from = "gps" it replaces the receiver\'s own',
     )
     source: Literal["local", "gps"] | None = Field(
         default=None,
@@ -124,12 +124,10 @@ class Start(Section):
 
 
 class Vehicle(Section):
-    """[drone]: who this drone is, and where it starts."""
+    """[drone]: this drone's ID and its start."""
 
     id: Annotated[int, Strict(), Field(ge=1, le=65535, description="1 … 65535, unique in the team")]
-    start: Start = Field(
-        default=Start(), description="where it stands in the team frame when its agent starts"
-    )
+    start: Start = Field(default=Start(), description="pose in the team frame at the start of its agent")
 
 
 class Intrinsics(Section):
@@ -227,8 +225,8 @@ class CameraSection(Section):
     )
     mounting_sigma_deg: Angle = Field(
         default=1.0,
-        description="standard deviation of how the camera is turned on the drone, degrees per axis: what a track "
-        "becomes less certain by when it goes over from one camera to another; counts only with several",
+        description="standard deviation of the camera's mounting angles, degrees per axis: added to a track's "
+        "uncertainty at its passage from one camera to another; used only with several",
     )
 
     @model_validator(mode="after")
@@ -314,8 +312,8 @@ class AutopilotSection(Section):
     )
     tilt_sigma_deg: Angle = Field(
         default=0.5,
-        description="standard deviation of the autopilot's roll and pitch, degrees, as places in metres count it; "
-        "0.15 was measured of a simulated ArduPilot in flight",
+        description="standard deviation of the autopilot's roll and pitch, degrees, for relative states in metres; a "
+        "simulated ArduPilot in flight had 0.15",
     )
     signing_key: Path | None = Field(default=None, description="file with the 32-byte key as 64 hex digits")
     component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
@@ -325,7 +323,7 @@ class AutopilotSection(Section):
         default=("status",),
         description='what to send to the ground station through the autopilot; "status": texts, and how many '
         'teammates are identified; "camera_tracking": the box of one teammate; "adsb": their positions, but read '
-        "docs/telling.md first; []: only our heartbeat",
+        "docs/telling.md first; []: only a heartbeat",
     )
 
     @field_validator("tell", mode="before")
@@ -365,18 +363,16 @@ class BoxWidthSection(Section):
     factor: Number | None = Field(
         default=None, description="width of a box without its padding, in spans of the airframe"
     )
-    padding_px: Number | None = Field(
-        default=None, description="how much wider than that every box is, px of the image"
-    )
+    padding_px: Number | None = Field(default=None, description="padding of every box, px of the image")
     drone_sigma: Number | None = Field(
-        default=None, description="how far the width is off from drone to drone, as a share of it"
+        default=None, description="standard deviation of the width between drones, as a share of it"
     )
     wander_sigma: Number | None = Field(
-        default=None, description="how far it wanders within one flight, as a share of it"
+        default=None, description="standard deviation of its drift within one flight, as a share of it"
     )
-    wander_s: Number | None = Field(default=None, description="over which time it wanders, s")
+    wander_s: Number | None = Field(default=None, description="time constant of that drift, s")
     white_sigma: Number | None = Field(
-        default=None, description="how far it is off from frame to frame, as a share of it"
+        default=None, description="standard deviation between frames, as a share of it"
     )
 
     @model_validator(mode="after")
@@ -398,7 +394,8 @@ class DetectorSection(Section):
     )
     second_stage: Text = Field(
         default="auto",
-        description='looks at each detection again: "default" for the shipped one, an .onnx file, or "none"; "auto": '
+        description='second network, which re-examines each detection: "default" for the shipped one, an .onnx file, '
+        'or "none"; "auto": '
         "the shipped one with the shipped model, else none",
     )
     input_scale: Annotated[Positive, Field(le=4.0)] | None = Field(
@@ -424,8 +421,8 @@ class DetectorSection(Section):
     )
     share: Annotated[Positive, Field(le=1.0)] = Field(
         default=1.0,
-        description="of the time that looking may take, per camera; with guided looks, tiles are left out while it "
-        "takes more",
+        description="share of the time for which the detector may run, per camera; with guided looks, tiles are left "
+        "out above it",
     )
     motion: Switch = Field(
         default=True,
@@ -445,7 +442,7 @@ class DetectorSection(Section):
         description="folder for engines compiled by TensorRT or OpenVINO, instead of ~/.cache/swarmtrack",
     )
     head: Literal["auto", "centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr"] = Field(
-        default="auto", description="how to read the outputs of your own network"
+        default="auto", description="format of your own network's outputs"
     )
     names: tuple[Text, ...] = Field(
         default=(), description="class names, where the model file does not give them"
@@ -466,7 +463,7 @@ class DetectorSection(Section):
     mean: tuple[Number, Number, Number] | None = Field(default=None, description="see scale")
     box_width: BoxWidthSection = Field(
         default=BoxWidthSection(),
-        description="how wide its boxes are beside the drones' span; default: what the model's file says, else tight "
+        description="width of its boxes relative to the drones' span; default: from the model's file, else tight "
         "boxes (docs/metres.md)",
     )
 
@@ -522,8 +519,7 @@ class NetworkSection(Section):
     )
     tracks_kbit_s: Annotated[Number, Field(ge=8.0, le=1e6)] | None = Field(
         default=None,
-        description="what tracks and video take of the radio at most, all listeners together; "
-        "without it as much as goes through",
+        description="most that tracks and video take of the radio, all listeners together; no limit by default",
     )
 
     @field_validator("peers")
@@ -588,15 +584,15 @@ class MotionSection(Section):
     """[motion]: the gyro that carries tracks from one exposure to the next."""
 
     history_s: Annotated[Number, Field(ge=0.1, le=60.0)] = Field(
-        default=2.0, description="how late a detection may arrive and still be placed at its exposure"
+        default=2.0, description="largest delay of a detection after its exposure"
     )
     # Ten times the white noise of a MEMS gyro, which is what the simulator has. In three recorded flights with SITL,
     # whose gyro has hardly any, rotations over 0.1 to 0.5 s were still 0.9e-3 to 5.9e-3 rad/√s off the truth (median
     # 1.7e-3): filters and stamps count too.
     gyro_noise_density_rad_s_sqrt_hz: Positive = Field(
         default=2e-3,
-        description="how uncertain a rotation by the gyro becomes, in rad for √s: by its white noise (about a tenth of "
-        "the default), vibration, scale and times",
+        description="growth of the uncertainty of a rotation by the gyro, rad per √s: white noise (about a tenth of "
+        "the default), vibration, scale and time stamps",
     )
     angular_acceleration_psd_rad2_s3: Positive = Field(
         default=1.0,
@@ -604,10 +600,10 @@ class MotionSection(Section):
     )
     gyro_delay_s: Annotated[Number, Field(ge=0.0, le=0.1)] | None = Field(
         default=None,
-        description="how late the autopilot's gyro is; default: what its filter's parameter says, which is read once",
+        description="delay of the autopilot's gyro; default: from its filter's parameter, which is read once",
     )
     gyro_bias_rad_s: Vector = Field(
-        default=TEAM_FRAME_ORIGIN, description="what the gyro reads at rest, body FRD"
+        default=TEAM_FRAME_ORIGIN, description="reading of the gyro at rest, body FRD"
     )
     estimate_gyro_bias: Switch = Field(
         default=True,
@@ -869,7 +865,9 @@ def _camera_problems(config: DroneConfig, layers: Layers) -> Iterator[Problem]:
             text = f"{found(camera.source)}, expected {wanted}: all cameras detect by themselves, or none"
             yield layers.problem(key, f"{key_text(key)}: {text}")
         elif camera.simulated or first.simulated:
-            text = f"{found(camera.source)}, expected no sim:// beside other cameras: it simulates one camera"
+            text = (
+                f"{found(camera.source)}, expected no sim:// next to other cameras: it simulates one camera"
+            )
             yield layers.problem(key, f"{key_text(key)}: {text}")
 
 

@@ -36,29 +36,29 @@ def _within(name: str, scale: float = 1.0) -> object:
 class FormationLimits(Section):
     """What no setpoint exceeds, whatever the law says."""
 
-    speed_m_s: Annotated[Number, _within("speed")] = Field(
-        default=USUAL.speed, description="of the whole velocity"
+    speed_m_s: Annotated[Number, _within("speed")] = Field(default=USUAL.speed, description="largest speed")
+    climb_m_s: Annotated[Number, _within("climb")] = Field(
+        default=USUAL.climb, description="largest rate of climb and descent"
     )
-    climb_m_s: Annotated[Number, _within("climb")] = Field(default=USUAL.climb, description="up and down")
     acceleration_m_s2: Annotated[Number, _within("acceleration")] = Field(
         default=USUAL.acceleration,
-        description="how fast a setpoint changes, but for evading",
+        description="largest change of a set point per second, evasions aside",
     )
     evasion_m_s2: Annotated[Number, _within("evasion")] = Field(
         default=USUAL.evasion,
-        description="how fast a setpoint changes where it evades somebody; none ever changes faster",
+        description="the same in an evasion; no set point changes faster",
     )
     yaw_rate_deg_s: Annotated[Number, _within("yaw_rate", 180.0 / math.pi)] = Field(
-        default=45.0, description="how fast it turns"
+        default=45.0, description="largest yaw rate"
     )
     least_height_m: Annotated[Number, _within("least_height")] = Field(
-        default=USUAL.least_height, description="above the team frame's origin: it is never led below"
+        default=USUAL.least_height, description="lowest height above the team frame's origin"
     )
     fence_radius_m: Annotated[Number, _within("fence_radius")] = Field(
-        default=USUAL.fence_radius, description="level, around where the pilot engaged it"
+        default=USUAL.fence_radius, description="horizontal radius, around the position of engagement"
     )
     fence_height_m: Annotated[Number, _within("fence_height")] = Field(
-        default=USUAL.fence_height, description="above and below where the pilot engaged it"
+        default=USUAL.fence_height, description="height above and below the position of engagement"
     )
 
     def in_si(self) -> FlightLimits:
@@ -82,7 +82,7 @@ class TeamFormation(Section):
 
     enabled: Switch = Field(
         default=False,
-        description="true: the agent of a follower flies it while its pilot has engaged that (docs/formation.md)",
+        description="true: a follower's agent flies it while its pilot has the agent engaged (docs/formation.md)",
     )
     leader: DroneId | None = Field(
         default=None, description="the drone that a pilot flies, and that others follow"
@@ -96,26 +96,28 @@ class TeamFormation(Section):
         description="the leader's height above the team frame's origin; the heights of the slots count from there",
     )
     references: dict[str, tuple[DroneId, ...]] = Field(
-        default={}, description="ID = [ID, …]: by whom a drone finds its slot; by default by the leader"
+        default={},
+        description="ID = [ID, …]: the references from which a drone computes its slot; by default the "
+        "leader",
     )
     ranging: Switch = Field(
         default=False,
-        description="true: the drones have ranging radios, whose distances they hear (docs/client.md)",
+        description="true: the drones have ranging radios and receive their ranges (docs/client.md)",
     )
     sure: Annotated[Number, Field(ge=0.9, lt=1.0)] = Field(
         default=0.99,
-        description="how sure a reference's name has to be for a second before it is flown by; more than 0.97 is only "
-        "proved by motion, with [team] share",
+        description="confidence that a reference's name needs for a second before it is used; above 0.97 only motion "
+        "confirms it, with [team] share",
     )
     consent: Literal["mode", "mode and switch"] = Field(
         default="mode",
         description="what engages the agent: the flight mode, or the mode and a switch of the pilot's transmitter, so "
-        "that a ground station that changes the mode engages nobody",
+        "that a mode change by a ground station engages no drone",
     )
     switch: SwitchSection | None = Field(
         default=None, description='{ channel, above_us }: which switch, with consent = "mode and switch"'
     )
-    limits: FormationLimits = Field(default=FormationLimits(), description="what no setpoint exceeds")
+    limits: FormationLimits = Field(default=FormationLimits(), description="limits of every set point")
 
     @field_validator("slots", "references")
     @classmethod
@@ -202,7 +204,7 @@ def formation_problems(
     if plan is None:
         return []
     if span is None:
-        text = "found none, expected the drones' span: without it nobody who is seen can be kept clear of"
+        text = "found none, expected the drones' span: collision avoidance needs it"
         return [
             layers.problem(("team", "airframe_span_m"), f"team.airframe_span_m: {text}, as [formation] does")
         ]

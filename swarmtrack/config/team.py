@@ -41,19 +41,19 @@ class FiledDrone(Section):
 
     position_m: Place | None = Field(
         default=None,
-        description="where it starts, [north, east, down] in the team frame, m; by default somewhere",
+        description="start, [north, east, down] in the team frame, m; unknown by default",
     )
     yaw_deg: Number = Field(default=0.0, description="heading of its nose, clockwise from the frame's north")
     position_sigma_m: Positive | None = Field(
         default=None,
-        description="standard deviation of that place, m per axis: 0.3 for a marked pad, 1 paced out",
+        description="standard deviation of position_m, m per axis: 0.3 for a marked pad, 1 paced out",
     )
 
     @model_validator(mode="after")
     def _place_with_its_error(self) -> FiledDrone:
         if (self.position_m is None) != (self.position_sigma_m is None):
             has, lacks = ("position_m", "position_sigma_m")[:: 1 if self.position_m else -1]
-            raise ValueError(f"{has} without {lacks}, expected both: nobody else knows how good the place is")
+            raise ValueError(f"{has} without {lacks}, expected both: a position needs its standard deviation")
         return self
 
 
@@ -72,7 +72,7 @@ class SwitchSection(Section):
     """A switch of the pilot's transmitter, by its channel."""
 
     channel: Annotated[int, Strict(), Field(ge=1, le=18)] = Field(
-        description="of the radio control, as the autopilot numbers them in RC_CHANNELS"
+        description="channel of the radio control, as numbered in RC_CHANNELS"
     )
     above_us: Annotated[Number, Field(ge=1000.0, le=2000.0)] = Field(
         default=1700.0, description="pulse width above which the switch is on, µs"
@@ -124,7 +124,7 @@ def _zoned(begin: datetime) -> datetime:
 
 
 class TeamSection(Section):
-    """[team]: the team frame, and who starts where. The same for every drone: keep it in the file that all extend."""
+    """[team]: the team frame, and the starts. The same for every drone: keep it in the file that all extend."""
 
     origin: TeamOrigin | None = Field(
         default=None,
@@ -132,32 +132,34 @@ class TeamSection(Section):
     )
     announce: Switch = Field(
         default=True,
-        description="false: nothing is told to the team and nothing is asked; who is who comes from `drones` "
+        description="false: the agent sends its team nothing and requests nothing; identities come from `drones` "
         "(docs/silent.md)",
     )
     airframe_span_m: Annotated[Number, Field(ge=0.05, le=10.0)] | None = Field(
         default=None,
-        description="how wide the team's drones are, from the outer rim of one rotor disc to that of its neighbour; "
-        "with it the size of a box tells a distance (docs/metres.md)",
+        description="width of the team's drones, from the outer rim of one rotor disc to that of its neighbour; with "
+        "it the size of a box gives a range (docs/metres.md)",
     )
     share: Literal["nothing", "velocity"] = Field(
         default="nothing",
-        description='"velocity": this drone tells its team how it moves, so that names are proved by motion '
+        description='"velocity": this drone reports its motion to its team, so that names are confirmed by motion '
         "(docs/swarm.md)",
     )
-    share_hz: Annotated[Number, Field(ge=2.0, le=10.0)] = Field(default=5.0, description="how often it does")
+    share_hz: Annotated[Number, Field(ge=2.0, le=10.0)] = Field(
+        default=5.0, description="rate of these reports"
+    )
     drones: dict[str, FiledDrone] = Field(
         default={},
-        description="ID = { position_m, yaw_deg, position_sigma_m } for every drone of the team: where each starts, "
-        "known without an announcement",
+        description="ID = { position_m, yaw_deg, position_sigma_m } for every drone of the team: their starts, "
+        "without announcements",
     )
 
     code: CodeSection | None = Field(
         default=None,
-        description="when all drones sway by their codes, which tell who they are (docs/silent.md)",
+        description="when all drones fly their codes, which identify them (docs/silent.md)",
     )
     plan: PlanSection | None = Field(
-        default=None, description="trajectories that tell who they are (docs/silent.md)"
+        default=None, description="trajectories that identify the drones (docs/silent.md)"
     )
 
     @field_validator("drones")
@@ -170,7 +172,7 @@ class TeamSection(Section):
     def _somebody_is_known(self) -> TeamSection:
         if not self.announce and self.share != "nothing":
             raise ValueError(
-                f'announce = false with share = "{self.share}", expected one or the other: what is shared is told'
+                f'announce = false with share = "{self.share}", expected one or the other: sharing sends messages'
             )
         for needs, name in (
             (not self.announce, "announce = false"),
@@ -225,7 +227,7 @@ def roster_problems(layers: Layers) -> list[Problem]:
         return []  # pydantic says so
     if not differs:
         return []
-    text = f"{found(here)}, expected what [team.drones] says of drone {drone['id']}: {found(there)}"
+    text = f"{found(here)}, expected [team.drones] of drone {drone['id']}: {found(there)}"
     return [layers.problem(("drone", "start", key), f"drone.start.{key}: {text}")]
 
 

@@ -223,7 +223,7 @@ def _unknown(path: str, trial: Trial, more: str = "") -> ModelError:
     width, height = trial.input_size
     shapes = ", ".join(str(shape) for shape in trial.shapes) or "none"
     return ModelError(
-        f"{path}: cannot tell how to read its outputs, which are {shapes} for an input of {width}x{height}{more}; "
+        f"{path}: its outputs have no known format: {shapes} for an input of {width}x{height}{more}; "
         f"known are (1, 4 + classes, cells) as of YOLOv8, (1, 3 cells, 5 + classes) as of YOLOv5, (1, n, 6), two of "
         f"(1, n, 4) and (1, n, classes), and a CenterNet's three maps; set detector.head to one of {', '.join(HEADS)}"
     )
@@ -260,8 +260,8 @@ def _with_classes(path: str, description: Description, declared: Declared) -> De
         drones = frozenset({0})
     if not drones:
         raise ModelError(
-            f"{path}: none of its classes is called drone; they are {_listed(description.names)}; say in "
-            "detector.classes which of them to look for"
+            f"{path}: none of its classes is called drone; they are {_listed(description.names)}; name the drones' "
+            "classes in detector.classes"
         )
     against: list[str] = [name.lower() for name in declared.veto] or [*LOOK_ALIKES]
     vetoes = frozenset(i for i, name in enumerate(names) if name in against) - drones

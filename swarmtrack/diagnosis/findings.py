@@ -157,7 +157,7 @@ FAULTS: dict[str, Fault] = {
     "autopilot.garbage": Fault(
         F,
         "bytes arrive, but they are not MAVLink: {reason}",
-        "another program speaks there: check host and port in autopilot.link",
+        "another program sends there: check host and port in autopilot.link",
         {
             "serial": "set the port's baud rate as in autopilot.link (ArduPilot SERIALn_BAUD, PX4 SER_*_BAUD), or use "
             "the port that speaks MAVLink"
@@ -204,19 +204,19 @@ FAULTS: dict[str, Fault] = {
     ),
     "pose.unmeasured": Fault(
         W,
-        "drone.start.position_sigma_m is not written: the start is taken as known to ± {sigma_m:g} m",
-        "write drone.start.position_sigma_m: 0.1 by a tape, 0.3 on a marked pad; nearer teammates stay unknown",
+        "drone.start.position_sigma_m is missing: ± {sigma_m:g} m is assumed for the start",
+        "set drone.start.position_sigma_m: 0.1 by a tape, 0.3 on a marked pad; closer teammates stay unknown",
     ),
     "autopilot.open": Fault(
         W,
-        "{address} takes MAVLink from anybody who reaches it: whoever speaks first is taken for the autopilot",
+        "{address} accepts MAVLink from any host that reaches it: the first sender is taken for the autopilot",
         "listen on 127.0.0.1 if the autopilot's router runs on this computer; else set autopilot.signing_key "
         "(docs/security.md)",
     ),
     "autopilot.strangers": Fault(
         W,
         "{count:.0f} datagrams came from elsewhere than the autopilot's address, and were not read",
-        "find out who else sends there (the log names one): a second autopilot or router needs a port of its own",
+        "find the other sender (the log names one): a second autopilot or router needs a port of its own",
     ),
     "autopilot.slow": Fault(
         W,
@@ -298,12 +298,12 @@ FAULTS: dict[str, Fault] = {
         "set {parameter} to {wanted}, or to what you know to be right; swarmtrack writes no parameter",
     ),
     "limits.silent": Fault(
-        F, "no autopilot to be asked: {reason}", "switch it on, and stop the agent: only one program may have its link"
+        F, "no autopilot answers: {reason}", "switch it on, and stop the agent: only one program may have its link"
     ),
     "limits.unknown": Fault(
         W,
-        "the autopilot does not tell {names}",
-        "look them up in your ground station: they say what the autopilot does when the agent that flies it fails",
+        "the autopilot does not report {names}",
+        "look them up in your ground station: they set what the autopilot does when the agent that flies it fails",
     ),
     # --- calibration
     "calibration.unreadable": Fault(
@@ -352,7 +352,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "motion.rotation": Fault(
         W,
-        "the camera is turned {angle_deg:.0f}° from what body_from_camera says",
+        "the camera is turned by {angle_deg:.0f}° against body_from_camera",
         "measure it: swarmtrack calibrate extrinsics",
     ),
     "motion.offset": Fault(
@@ -380,17 +380,17 @@ FAULTS: dict[str, Fault] = {
     # --- tracking, by what a running agent says
     "tracking.noisy": Fault(
         W,
-        "detections scatter {times:.1f} times more than told; the tracks allow for it, and know less",
+        "detections scatter {times:.1f} times more than configured; the tracks allow for it, and are less certain",
         "look for blur, vibration or a rolling shutter; if the detector is like that, raise tracker.measurement_sigma",
     ),
     "tracking.sure": Fault(
         W,
-        "detections lie {times:.1f} times further off than the tracks expect: directions are less exact than they say",
+        "detections lie {times:.1f} times further off than the tracks expect: directions are less exact than stated",
         "check camera.time_offset_s and the mount (swarmtrack calibrate extrinsics); keep learn_noise = \"both\"",
     ),
     "tracking.careful": Fault(
         W,
-        "detections lie {times:.1f} times nearer than the tracks expect: directions are more exact than they say",
+        "detections lie {times:.1f} times nearer than the tracks expect: directions are more exact than stated",
         "use tracker.name = \"mbm\" with learn_noise = \"both\"; or lower measurement_sigma and acceleration_psd",
     ),
     # --- network
@@ -407,12 +407,12 @@ FAULTS: dict[str, Fault] = {
     ),
     "network.id_clash": Fault(
         F,
-        "{count} agents speak as drone {id} (boots {boots})",
+        "{count} agents use drone.id = {id} (boots {boots})",
         "give each drone its own drone.id; until then no track gets this ID",
     ),
     "network.running": Fault(
         W,
-        "an agent already speaks as drone {id} (boot {boot})",
+        "an agent already uses drone.id = {id} (boot {boot})",
         "if it is not this drone's own agent, give one of them another drone.id",
     ),
     "network.absent": Fault(
@@ -469,7 +469,7 @@ FAULTS: dict[str, Fault] = {
 
 def markdown_table() -> str:
     """All of `FAULTS` as a Markdown table, with … for what is filled in."""
-    rows = ["| fault | level | what doctor says | what to do |", "|---|---|---|---|"]
+    rows = ["| fault | level | finding | remedy |", "|---|---|---|---|"]
     for name, (level, found, remedy, instead) in FAULTS.items():
         remedies = [remedy, *(f"*{where.replace(' ', ', ')}:* {text}" for where, text in instead.items())]
         words = [

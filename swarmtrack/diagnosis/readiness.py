@@ -15,7 +15,7 @@ MOST_REASONS = 8
 LONGEST_REASON = 256  # characters, as the wire takes them
 CERTIFICATE_S = 3600.0  # no flight is longer
 
-SELF_DOUBT = "what we see of our teammates says that our own start or heading is wrong"
+SELF_DOUBT = "sightings of teammates contradict our own start or heading"
 
 
 class Readiness(NamedTuple):
@@ -62,7 +62,7 @@ def judge(
             f"network: our certificate ends in {max(left_s, 0.0) / 60.0:.0f} min, and all links with it: renew it"
         )
     if clones:
-        reasons.append(f"another agent speaks as this drone (boots {', '.join(clones)})")
+        reasons.append(f"another agent uses this drone's ID (boots {', '.join(clones)})")
     if doubts_itself:
         reasons.append(f"{SELF_DOUBT}: check drone.start, the compass and camera.body_from_camera")
     ready = not reasons

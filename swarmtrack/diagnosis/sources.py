@@ -48,7 +48,7 @@ AUTOPILOT_TROUBLES = (
     ("autopilot.busy", r"busy, (port \d+ is )?held by"),
     (
         "autopilot.unreachable",
-        r"nobody listens|is unknown here|no answer from|not an address of this machine|no name server|"
+        r"nothing listens|is unknown here|no answer from|not an address of this machine|no name server|"
         r"other end closed|connection broke|unreachable",
     ),
     ("autopilot.silent", r"port open, 0 bytes"),

@@ -165,7 +165,7 @@ def _answers(facts: NetworkFacts) -> str:
     certificate = (
         "" if facts.expires_days is None else f"; certificate valid for {facts.expires_days:.0f} days"
     )
-    return f"team {facts.team}: {f'{told} answer' if others else 'nobody else answers (alone so far?)'}{certificate}"
+    return f"team {facts.team}: {f'{told} answer' if others else 'no other agent answers (alone so far?)'}{certificate}"
 
 
 def check_disk(facts: tuple[DiskFacts, ...]) -> list[Finding]:

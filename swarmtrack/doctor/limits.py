@@ -39,11 +39,11 @@ def judged(config: DroneConfig, told: ParameterReader) -> list[Finding]:
 async def read_limits(config: DroneConfig, clock: Clock, seconds: float = DOCTOR_WITHIN_S) -> list[Finding]:
     """Of a drone that has a place in a formation; nothing is written to its autopilot."""
     if config.formation.parameters(config.drone.id) is None:
-        return [skipped("limits", "this drone follows nobody: nobody but its pilot flies it")]
+        return [skipped("limits", "this drone follows no other: only its pilot flies it")]
     autopilot = make_autopilot(config, clock, None)
     reader = limits_reader(config, autopilot)
     if autopilot is None or reader is None:
-        return [skipped("limits", f"autopilot.link is {config.autopilot.link}: nobody to be asked")]
+        return [skipped("limits", f"autopilot.link is {config.autopilot.link}: no autopilot to ask")]
     listening = asyncio.create_task(autopilot.run(SampleCollector()))
     try:
         with suppress(TimeoutError):

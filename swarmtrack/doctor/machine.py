@@ -36,9 +36,9 @@ def _check_folder(path: Path) -> None:
     """That a folder can be written into, or made. Raises SourceError."""
     there = _nearest(path)
     if not there.is_dir():
-        raise SourceError(f"{there}: is no folder, expected one that can be written into")
+        raise SourceError(f"{there}: is not a folder, expected one that can be written into")
     if not os.access(there, os.W_OK | os.X_OK):
-        raise SourceError(f"{there}: may not be written into")
+        raise SourceError(f"{there}: is not writable")
 
 
 def _nearest(path: Path) -> Path:

@@ -29,7 +29,7 @@ class SampleCollector(AutopilotListener):
             self.poses.append(pose)
 
     def on_autopilot_reboot(self) -> None:
-        """Its clock begins anew: what was kept has nothing to do with what comes."""
+        """Its clock starts again: what was kept has nothing to do with what comes."""
         self.samples.clear()
         self.poses.clear()
 

@@ -153,7 +153,7 @@ def _multicast(interface: str, folder: Path = INTERFACES) -> tuple[str, str]:
         usable = [n for n, f in flags.items() if f & IFF_UP and f & IFF_MULTICAST and not f & IFF_LOOPBACK]
         return ("auto", "" if usable else "no interface but loopback is up")
     if interface not in flags:
-        return interface, f"there is no such interface, only {', '.join(sorted(flags)) or 'none'}"
+        return interface, f"no such interface, only {', '.join(sorted(flags)) or 'none'}"
     if not flags[interface] & IFF_UP:
         return interface, "it is down"
     return interface, "" if flags[interface] & IFF_MULTICAST else "it carries no multicast"

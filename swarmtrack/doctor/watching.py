@@ -112,7 +112,7 @@ class CameraWatch:
     def _compared(self, heard: SampleCollector) -> MotionFacts:
         """Image against gyro."""
         if self.motion is None or self._mounted is None:
-            return MotionFacts("without a calibration the image tells no angles")
+            return MotionFacts("without a calibration the image gives no angles")
         if len(heard.samples) < LEAST_GYRO_SAMPLES:
             return MotionFacts("no gyro")
         if not self.motion.found:

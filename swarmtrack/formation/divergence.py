@@ -97,9 +97,9 @@ class DivergenceWatch:
     def doubt(self, t: float) -> str | None:
         """In words, what is said at t; None where it flies as it is told."""
         if self._said:
-            return f"flies {math.hypot(*self.difference):.1f} m/s otherwise than told"
+            return f"flies {math.hypot(*self.difference):.1f} m/s off its command"
         if self._parts is not None and 0.0 <= t - self._parts[0] < DIVERGENCE_HOLDS_S:
-            return f"{self._parts[1]:.1f} m farther off its slot, and was told to come nearer"
+            return f"{self._parts[1]:.1f} m farther off its slot, against its command"
         return None
 
     def _judge(self, t: float) -> None:

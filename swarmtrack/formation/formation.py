@@ -78,17 +78,17 @@ MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)
 
 HOLD_TEXTS = {
     Why.OWN_POSE: "own position is old",
-    Why.VAGUE: f"own position is known worse than {VAGUEST_OWN_PLACE_M:g} m",
+    Why.VAGUE: f"own position is uncertain by more than {VAGUEST_OWN_PLACE_M:g} m",
     Why.GYRO: "gyro is silent",
     Why.CAMERA: "camera is silent or stuck",
-    Why.CLASH: "another process speaks as this drone",
+    Why.CLASH: "another process uses this drone's ID",
     Why.DOUBT: "own start or heading seems wrong",
     Why.HEADING: "heading has stepped",
-    Why.LEAP: "own place has leapt",
+    Why.LEAP: "own position has jumped",
     Why.CLOCK: "autopilot's clock is unknown",
     Why.HEIGHT_DOUBT: "own height seems wrong",
-    Why.DIVERGES: "flies otherwise than told",
-    Why.BROKEN: "no number came of it",
+    Why.DIVERGES: "does not fly as commanded",
+    Why.BROKEN: "its command is not a number",
 }
 
 
@@ -315,8 +315,8 @@ class Formation:
             return (share * north, share * east, 0.0), Why.FADE, f"drone {names} is lost: slows down"
         entering = [watch.drone_id for watch in self._watches if watch.entering]
         if entering:
-            return STANDSTILL, Why.ENTRY, f"drone {entering[0]} is seen, not for long enough"
-        return STANDSTILL, Why.NO_REFERENCE, f"drone {names} is not seen"
+            return STANDSTILL, Why.ENTRY, f"drone {entering[0]} is in view, not for long enough"
+        return STANDSTILL, Why.NO_REFERENCE, f"drone {names} is not in view"
 
     def _with_height(
         self, wanted: Velocity, own: OwnFlight, why: Why, text: str

@@ -202,7 +202,7 @@ def range_faults(box_width: BoxWidth, *, told: bool) -> list[PlanFault]:
     if told or error <= LARGEST_SIZE_ERROR:
         return []
     text = (
-        f"the detector's boxes tell a distance to {error:.0%}, expected {LARGEST_SIZE_ERROR:.0%} or better "
+        f"the detector's boxes give a range to {error:.0%}, expected {LARGEST_SIZE_ERROR:.0%} or better "
         '([detector.box_width]), or [team] share = "velocity", or ranging = true where drones have ranging radios'
     )
     return [PlanFault(("leader",), text)]
@@ -238,7 +238,7 @@ def _chain_faults(plan: FormationPlan) -> Iterator[PlanFault]:
         key = ("references", str(drone))
         if drone not in links:
             yield PlanFault(
-                key, f"drone {drone} does not hang on the leader {plan.leader}, expected that all do"
+                key, f"drone {drone} does not depend on the leader {plan.leader}, expected that all do"
             )
         elif links[drone] >= LONGEST_CHAIN_LINKS:
             place = f"drone {drone} is the {links[drone] + 1}th of a chain"
@@ -260,7 +260,7 @@ def _hidden_faults(plan: FormationPlan, span: float) -> Iterator[PlanFault]:
                 aside = math.sqrt(max(sum(x * x for x in there) - along * along, 0.0))
                 if 0.0 < along < length and aside < span:
                     text = (
-                        f"drone {other} hides drone {reference}: {aside:.2f} m beside the line of sight, expected "
+                        f"drone {other} hides drone {reference}: {aside:.2f} m off the line of sight, expected "
                         f"{span:g} m or more"
                     )
                     yield PlanFault(("slots", str(drone)), text)

@@ -50,7 +50,7 @@ class AccessGuard:
     def refuse(self, request: web.Request) -> str | None:
         """Why not; None: come in."""
         if _HOST.fullmatch(request.host) is None:
-            return "this Host is no address"
+            return "this Host is not an address"
         # A name that another site lets point here would make its page one of ours.
         host = urlsplit(f"//{request.host}").hostname or ""
         if self.token is None and not is_loopback(host):

@@ -195,7 +195,7 @@ class Entrance:
                 continue
             except OSError as error:
                 self._trouble.say(
-                    "full", f"nobody can come in: {error.strerror} (see ulimit -n); trying again"
+                    "full", f"no viewer can connect: {error.strerror} (see ulimit -n); trying again"
                 )
                 self._make_room(MAX_CONNECTIONS // 2)
                 await asyncio.sleep(SWEEP_S)

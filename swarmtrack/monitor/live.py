@@ -116,7 +116,7 @@ class LiveFeed:
             self._team.hint = hint = hint_at(await other_teams(self._listener, self._team.name))
             if hint and not said:
                 said = True
-                log.warning("no drone of team %s is heard; %s", self._team.name, hint)
+                log.warning("no drone of team %s is found; %s", self._team.name, hint)
 
     async def _follow_wishes(self, audience: Audience) -> None:
         """Subscribe to the video that somebody watches, and to no other."""

@@ -58,7 +58,7 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
     try:
         offsets = [utc_offset(recording) for recording in recordings]
     except (KeyError, ValueError):
-        raise RecordingError(f"{where}: a recording does not say when it began, expected utc_s") from None
+        raise RecordingError(f"{where}: a recording has no time of its beginning, expected utc_s") from None
     for source in sources:
         source.read()
     moved = [shift.seconds for shift in shifts_by([source.hearsay for source in sources], offsets)]
@@ -91,7 +91,7 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
         notes.append(f"{where}: {refused} records cannot be read and are left out")
     if not events:
         raise RecordingError(
-            "; ".join([f"{where}: holds no word of any drone, expected the recording of a flight", *notes])
+            "; ".join([f"{where}: holds no message of any drone, expected the recording of a flight", *notes])
         )
     flights = [
         k for k, (one, next_one) in enumerate(pairwise(events), 1) if next_one.t - one.t > FLIGHTS_APART_S

@@ -174,7 +174,7 @@ class MonitorServer:
         if reason is not None:
             return _refused(403, reason)
         if len(self._viewers) >= MAX_VIEWERS:
-            return _refused(503, f"{MAX_VIEWERS} pages look already")
+            return _refused(503, f"{MAX_VIEWERS} pages are open already")
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT_S, max_msg_size=MAX_WORD, compress=False)
         await socket.prepare(request)
         viewer = OpenPage(socket)

@@ -244,7 +244,7 @@ class MonitoredTeam:
 
     def look(self) -> None:
         """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
-        with self.leaves_out("who sees whom"):
+        with self.leaves_out("the table of identities"):
             self._look(self._clock.now())
             return
         self.forget_untellable()
@@ -358,7 +358,7 @@ class MonitoredTeam:
     def _sentence(self, verdict: TeamVerdict) -> tuple[str, str, list[str]]:
         """Its kind (bad, warn, ok, idle), itself, and what else there would be to say."""
         bad = [
-            f"{len(drone.boots)} processes speak as drone {drone_id}"
+            f"{len(drone.boots)} processes use ID {drone_id}"
             for drone_id, drone in self._drones.items()
             if len(drone.boots) > 1
         ]
@@ -376,7 +376,7 @@ class MonitoredTeam:
         if not here:
             return (
                 "idle",
-                f"no drone of team {self.name} is heard",
+                f"no drone of team {self.name} is found",
                 [STARTING if self.starting else self.hint or START_ONE],
             )
         drones = "1 drone" if here == 1 else f"{here} drones"
@@ -485,7 +485,7 @@ def troubles(health: HealthMessage | None) -> list[str]:
             # How many is in the table: a line of events for each number would be too much.
             found.append("gets too few IMU samples")
     if health.noise is not None and health.noise.found:
-        found.append(f"says: {health.noise.found}")
+        found.append(f"reports: {health.noise.found}")
     detections = health.rates.get("detections")
     if detections is not None and detections.got_hz == 0.0 and "lost its camera" not in found:
         found.append("gets no frames")

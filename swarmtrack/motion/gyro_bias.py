@@ -4,7 +4,7 @@ Theory of operation. An error-state Kalman filter holds an orientation, turned o
 autopilot's attitude corrects both (Solà, "Quaternion kinematics for the error-state Kalman filter" (2017), section 5).
 The three axes are alike, so one covariance (2, 2) serves all. An attitude's errors last for about a second, so what
 comes more often is believed less each time. One that lies far off is left out; when it keeps lying there, the estimator
-behind it has jumped, and only the orientation begins anew: the bias does not jump with it.
+behind it has jumped, and only the orientation starts again: the bias does not jump with it.
 
 The image alone cannot tell a bias from targets that all drift together, so without an attitude nothing is found.
 """

@@ -129,7 +129,7 @@ class HeadingSteps:
         return {"heading_steps": self.found}
 
     def restart(self) -> None:
-        """The autopilot has rebooted: its heading begins anew."""
+        """The autopilot has rebooted: its heading starts again."""
         self._waiting.clear()
         self._last = None
         self._compared.clear()

@@ -1,4 +1,4 @@
-"""Whether the own place has leapt, as a receiver's does that loses its satellites and finds them again."""
+"""Whether the own position has jumped, as a receiver's does that loses its satellites and finds them again."""
 
 from __future__ import annotations
 

@@ -68,7 +68,7 @@ class Console:
         if self._scans == self._scans_told:  # what was seen once is not what is seen now
             what = "no frame since" if self._scans else "no frame yet"
         else:
-            what = f"sees {who or 'nobody'}"
+            what = f"sees {who or 'no drone'}"
         self._scans_told = self._scans
         # A clock that stands at 0 looks like a program that hangs.
         when = f"{self._elapsed:7.1f} s" if self._scans else 9 * " "
@@ -86,7 +86,7 @@ class Console:
                 f"  {name_of(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}"
             )
         if not self._seen:
-            self._print("  nobody was seen")
+            self._print("  no drone was seen")
         for fact in facts:
             self._print(f"  {fact}")
 
@@ -120,7 +120,7 @@ class Console:
             print(text, file=self._stream, flush=True)
         except OSError:  # whoever read us (`| head`, a terminal) has gone: no reason to end a flight
             self._quiet = True
-            log.warning("nobody reads the console any more: flying on without it")
+            log.warning("the console is closed: flying on without it")
             with suppress(OSError):
                 self._stream.close()  # or Python tries to write the rest once more at its end, and fails
 

@@ -55,40 +55,42 @@ def describe(news: News) -> str:
         case PeerDeparted(drone_id=drone_id, boot=boot):
             return f"drone {drone_id} is gone (boot {boot})"
         case PeerExpelled(drone_id=drone_id):
-            return f"drone {drone_id} is no longer in the team's roster, and is not heard any more"
+            return f"drone {drone_id} is no longer in the team's roster, its messages are ignored"
         case IdClash(drone_id=drone_id, boots=boots, ours=True):
-            said = f"another agent speaks as drone {drone_id}, which is us (boots {', '.join(boots)})"
-            return f"{said}: give one another drone.id"
+            said = f"another agent uses our drone.id = {drone_id} (boots {', '.join(boots)})"
+            return f"{said}: change drone.id of one of them"
         case IdClash(drone_id=drone_id, boots=boots):
             return (
-                f"two agents speak as drone {drone_id} (boots {', '.join(boots)}): give one another drone.id; "
-                f"until then nobody is taken for it"
+                f"two agents use drone.id = {drone_id} (boots {', '.join(boots)}): change drone.id of one of them; "
+                f"until then no track gets this ID"
             )
         case AnnouncementRequested():
-            return "a teammate asked where we are: announced again"
+            return "a teammate asked for our pose: announced again"
         case SightingReport(observer=observer):
-            return f"drone {observer} told whom it sees"
+            return f"drone {observer} reported sightings"
         case MotionReport(drone_id=drone_id):
-            return f"drone {drone_id} told how it moves"
+            return f"drone {drone_id} reported its motion"
         case RangeReport(other=other):
-            return f"our ranging radio measured how far drone {other} is"
+            return f"our ranging radio measured the range to drone {other}"
         case HeadingNews(step=step) if step:
             return f"our heading stepped by {math.degrees(step):+.1f}° against the gyro: announced again"
         case HeadingNews():
             return "our heading has been aligned in flight: announced again"
         case Astray(miss_m=None):
-            return f"track {news.track_id} does not move as drone {news.drone_id} says, whose name it had: doubted"
+            return (
+                f"track {news.track_id} does not move as drone {news.drone_id} reports: its name is in doubt"
+            )
         case Astray():
             return (
-                f"drone {news.drone_id} moves as track {news.track_id}, {news.miss_m:.1f} m from where it says that it "
-                "is: its start or our heading is wrong, and its name follows the motion"
+                f"drone {news.drone_id} moves like track {news.track_id}, {news.miss_m:.1f} m from its stated "
+                "position: its start or our heading is wrong, and its name follows the motion"
             )
         case FrameNews(off_m=None):
             return f"drone {news.drone_id}'s start fits what we see again"
         case FrameNews():
             return (
                 f"drone {news.drone_id}'s start is {news.off_m:.1f} m and {abs(math.degrees(news.turn)):.0f}° off, or "
-                "ours is: what it says is turned and shifted into our frame"
+                "ours is: its reports are turned and shifted into our frame"
             )
         case RangeNews(drone_id=drone_id, distance=distance):
             radio = f"the distance to drone {drone_id} by our ranging radio"
@@ -96,7 +98,7 @@ def describe(news: News) -> str:
                 return f"{radio} fits what we see again"
             return f"{radio}, {distance:.1f} m, does not fit what we see and is not used: is it set up for that drone?"
         case DoubtNews(doubted=True):
-            return f"{SELF_DOUBT}: until that is over the team is told that our place is unknown"
+            return f"{SELF_DOUBT}: until they agree, we announce our position as unknown"
         case DoubtNews():
             return "our start and heading fit what we see again: announced again"
         case Disagreement():
@@ -123,7 +125,7 @@ def _describe_seam(news: SeamNews) -> str:
     first, second = news.first + 1, news.second + 1
     if news.turn is None or news.body_from_second is None:
         return (
-            f"cameras {first} and {second} do not fit together: what leaves one does not come into the other. Are "
+            f"cameras {first} and {second} do not match: drones that leave one do not enter the other. Are "
             "their cables swapped, is one of them upside down, or is a body_from_camera wrong?"
         )
     turned = np.degrees(np.linalg.norm(news.turn.angle))
@@ -131,7 +133,7 @@ def _describe_seam(news: SeamNews) -> str:
     roll, pitch, yaw = np.degrees(rotation.to_euler(news.body_from_second @ forward.T)).round(1) + 0.0
     by = f"went from one to the other {news.turn.crossings} times" if news.turn.crossings else "both show"
     return (
-        f"cameras {first} and {second} are turned by {turned:.1f}° against what is written, by teammates that {by}. "
+        f"cameras {first} and {second} are turned by {turned:.1f}° against the config, by teammates that {by}. "
         f"If camera {first} is right, rpy_deg = [{roll:g}, {pitch:g}, {yaw:g}] would fit camera {second}"
     )
 
@@ -139,9 +141,9 @@ def _describe_seam(news: SeamNews) -> str:
 def _describe_mounting(news: MountingNews) -> str:
     camera = f"camera {news.camera + 1}"
     if news.fits:
-        return f"{camera} turns with the gyro again, as it is written: who it shows gets a name again"
+        return f"{camera} turns with the gyro again, as configured: its tracks get names again"
     if news.like is not None:
         it_is = f"as camera {news.like + 1} should: are their cables swapped?"
     else:
         it_is = "against the gyro: is it upside down, or its picture mirrored, or body_from_camera wrong?"
-    return f"the picture of {camera} turns {it_is} Who it shows has no name meanwhile"
+    return f"the picture of {camera} turns {it_is} Its tracks get no names meanwhile"

@@ -227,7 +227,7 @@ def decode(topic: str, data: bytes) -> tuple[int, Input]:
         return record["n"], _READERS[topic](record)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
         schema = FORM_OF_TOPIC[topic].schema
-        raise RecordingError(f"{topic}: a record that is no {schema}: {error}") from None
+        raise RecordingError(f"{topic}: a record that is not {schema}: {error}") from None
 
 
 def plain(value: float) -> float | str:

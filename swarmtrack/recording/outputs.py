@@ -90,7 +90,7 @@ def decode_report(data: bytes) -> RecordedReport:
         report = ScanReport(record["sequence"], TrackList(t, t, entries), int(record.get("camera", 0)))
         return RecordedReport(record["digest"], record.get("relative_digest"), report)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{TRACKS_TOPIC}: a record that is no swarmtrack.Tracks: {error}") from None
+        raise RecordingError(f"{TRACKS_TOPIC}: a record that is not swarmtrack.Tracks: {error}") from None
 
 
 def encode_asked(n: int, tracks: TrackList) -> bytes:
@@ -106,7 +106,7 @@ def decode_asked(data: bytes) -> tuple[int, float, str]:
         record = _DECODER.decode(data)
         return record["n"], float(record["t_s"]), str(record["digest"])
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{ASKED_TOPIC}: a record that is no swarmtrack.Asked: {error}") from None
+        raise RecordingError(f"{ASKED_TOPIC}: a record that is not swarmtrack.Asked: {error}") from None
 
 
 class RecordedCommand(NamedTuple):
@@ -154,7 +154,9 @@ def decode_command(data: bytes) -> RecordedCommand:
         engagement = Engagement(int(record["engagement"]), bool(record["clock_known"]))
         return RecordedCommand(record["n"], float(record["t_s"]), engagement, str(record["digest"]))
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
-        raise RecordingError(f"{SETPOINTS_TOPIC}: a record that is no swarmtrack.Setpoint: {error}") from None
+        raise RecordingError(
+            f"{SETPOINTS_TOPIC}: a record that is not swarmtrack.Setpoint: {error}"
+        ) from None
 
 
 def _track_record(entry: IdentifiedTrack) -> dict[str, Any]:

@@ -76,14 +76,14 @@ class Segment:
     _noted: int = 0
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """In the order of writing, of these topics (None: of all). Raises RecordingError for what is no MCAP file."""
+        """In the order of writing, of these topics (None: of all). Raises RecordingError for other files than MCAP."""
         try:
             file: IO[bytes] = self.path.open("rb", buffering=READ_AHEAD_BYTES)
         except OSError as error:
             raise RecordingError(f"{self.path}: {error.strerror}, expected a recording") from error
         with file:
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
-                raise RecordingError(f"{self.path}: is no MCAP file, expected a recording")
+                raise RecordingError(f"{self.path}: is not an MCAP file, expected a recording")
             self.damage, self._declared, self._noted = None, 0, 0
             yield from self._records(file, topics)
 
@@ -215,7 +215,7 @@ class Recording:
             return json.loads(self.attachments[name].data)
         except (KeyError, ValueError, RecursionError, MemoryError):
             raise RecordingError(
-                f"{self.segments[0].path}: its attachment {name} is missing or no JSON, expected that of an agent"
+                f"{self.segments[0].path}: its attachment {name} is missing or not JSON, expected that of an agent"
             ) from None
 
 
@@ -252,7 +252,9 @@ def _opened(segments: list[Segment]) -> Recording:
             recording.preface, recording.attachments = segment.metadata[PREFACE], segment.attachments
             break
     else:
-        raise RecordingError(f"{segments[0].path}: is no recording of ours, expected metadata {PREFACE!r}")
+        raise RecordingError(
+            f"{segments[0].path}: is not a swarmtrack recording, expected metadata {PREFACE!r}"
+        )
     found = recording.preface.get("format")
     if found != RECORDING_FORMAT:
         raise RecordingError(

@@ -175,7 +175,7 @@ def _layer_of(changes: Sequence[str]) -> Layer:
             raise ConfigError([f"--set {change}: expected TABLE.KEY=VALUE, as in tracker.p_detection=0.8"])
         if key.partition(".")[0] not in WHAT_IF:
             raise ConfigError(
-                [f"--set {change}: has no say in a replay, expected a key of {', '.join(WHAT_IF)}"]
+                [f"--set {change}: has no effect in a replay, expected a key of {', '.join(WHAT_IF)}"]
             )
         try:
             tomllib.loads(f"{key} = {value}")

@@ -74,7 +74,7 @@ class Frames:
             self._looks.popleft()
 
     def announce(self, said: Announcement) -> None:
-        """Where a teammate starts, by its own word. Of a new life of its process everything begins anew."""
+        """Where a teammate starts, by its own word. Of a new life of its process everything starts again."""
         before = self._starts.get(said.drone_id)
         if before is None or before.boot != said.boot:
             self._starts[said.drone_id] = said

@@ -162,7 +162,7 @@ class RelativeStates:
         beliefs = kept
         for row in begun:
             beliefs = beliefs.joined(row)
-        # A name that comes back begins anew: what is older is of another row.
+        # A name that comes back starts again: what is older is of another row.
         self._exact_since |= {look.keys[i]: t for i in fresh}
         keys = known + tuple(look.keys[i] for i in fresh)
         self._now = _Moment(t, camera, velocity, keys, beliefs, np.empty((0, STATE_SIZE, STATE_SIZE)))
@@ -402,7 +402,7 @@ class RelativeStates:
                 self._rays[drone, seen.drone_id] = said.t
 
     def forget(self, drone_id: int) -> None:
-        """What a teammate said turned out to be in another frame: its state begins anew, with its next ray."""
+        """What a teammate said turned out to be in another frame: its state starts again, with its next ray."""
         self._said.pop(drone_id, None)
         self._reading = None
         now = self._now

@@ -169,7 +169,7 @@ class FlightLabels:
                 continue
             box, sigma = found
             if sigma > UNSURE_PX + UNSURE_SHARE * float(max(box[2:])):
-                self.skipped["a teammate's place in it is not sure enough"] += 1
+                self.skipped["a teammate's position in it is too uncertain"] += 1
                 return None
             labels.append(Label(drone_id, box))
         return labels

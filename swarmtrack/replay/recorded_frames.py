@@ -23,7 +23,7 @@ class RecordedFrames:
         try:
             return self._take(topic, data)
         except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
-            raise RecordingError(f"{topic}: no frame of ours: {error}") from None
+            raise RecordingError(f"{topic}: not a swarmtrack frame: {error}") from None
 
     def _take(self, topic: str, data: bytes) -> Frame | None:
         import cv2  # noqa: PLC0415

@@ -154,7 +154,7 @@ class Replayer:
         """Raises RecordingError where nothing of it can be replayed."""
         if self._recording.kind != "drone":
             raise RecordingError(
-                f"{self._recording.folder}: holds what was heard of a swarm, expected what a drone was told"
+                f"{self._recording.folder}: is a recording of a swarm, expected an agent's recording"
             )
         result = self._result
         first = last = None

@@ -180,8 +180,8 @@ class _Stage:
         flown = self._scenario.world.drones.get(true.drone_id)
         if flown is None or np.abs(flown.position(true.t_s) - true.position_m).max() > SAME_VERDICT_PLACE_M:
             raise RecordingError(
-                f"{self._recording.folder}: drone {true.drone_id} flew elsewhere at {true.t_s:.1f} s than this "
-                f"program's scenario {self._scenario.name} says, expected the version that recorded it "
+                f"{self._recording.folder}: drone {true.drone_id} flew elsewhere at {true.t_s:.1f} s than in this "
+                f"program's scenario {self._scenario.name}, expected the version that recorded it "
                 f"({self._recording.preface.get('swarmtrack')})"
             )
 

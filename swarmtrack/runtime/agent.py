@@ -200,7 +200,7 @@ class Agent:
                 'in the air already, but announced at its fixed drone.start: expected from = "local" or "gps"'
             )
             self.health.events.append(line)
-            self._notices.add(Severity.WARNING, "in the air, start not known")
+            self._notices.add(Severity.WARNING, "in the air, start unknown")
             log.warning("drone %d is %s", self._config.drone.id, line)
 
     def _warm_up(self) -> None:

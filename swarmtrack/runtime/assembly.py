@@ -254,9 +254,7 @@ def make_autopilot(
         return None
     if section.link == "sim":
         if simulation is None:
-            raise SourceError(
-                'autopilot.link: found "sim", expected it only beside a camera.source of sim://'
-            )
+            raise SourceError('autopilot.link: found "sim", expected it only with a camera.source of sim://')
         return simulation.autopilot
     return MavlinkAutopilot(
         _in_step(section.link) if in_step else section.link,

@@ -21,10 +21,10 @@ from swarmtrack.runtime.assembly import Parts, assemble
 
 # What --check says of `autopilot.tell` beyond the harmless (docs/telling.md).
 DANGERS = {
-    "camera_tracking": "one box for all teammates; QGroundControl draws it only beside a MAVLink camera that tracks, "
+    "camera_tracking": "one box for all teammates; QGroundControl draws it only with a MAVLink camera that tracks, "
     "which the agent is not",
-    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it hears of; places that "
-    "are not known in metres are the teammates' own word, checked by the camera's direction only",
+    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it receives; positions that "
+    "are not known in metres are the teammates' own reports, checked by the camera's direction only",
 }
 
 FLOWN = "enabled: its agent flies it while its pilot has it in GUIDED or OFFBOARD"
@@ -48,7 +48,7 @@ def check(path: Path) -> None:
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
         heading = config.autopilot.heading_sigma_deg
         print(f"heading    ±{heading.ground:g}° on the ground, ±{heading.flight:g}° in flight")
-        print(f"telling    {', '.join(config.autopilot.tell) or 'nothing but our heartbeat'}")
+        print(f"sending     {', '.join(config.autopilot.tell) or 'only a heartbeat'}")
     detector = (
         "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
     )
@@ -59,7 +59,7 @@ def check(path: Path) -> None:
     if parts.agreed:
         print(f"agreed     {_agreed(config)}")
     if not config.team.announce:
-        print("silent     nothing is told to the team, and nothing asked")
+        print("silent     nothing is sent to the team, nothing requested")
     plan = config.formation.plan()
     if plan is not None:
         print(f"formation  {_role(plan, config.drone.id)}")

@@ -131,7 +131,7 @@ class FormationPilot:
             engagement.fail("the guard has died")
             self._notices.add(Severity.WARNING, "formation guard died: no set points")
             log.error(
-                "formation: the guard has died: nobody is flown until it is started again, on the ground"
+                "formation: the guard has died: the drone is not flown until it is started again, on the ground"
             )
         if guard.sent != self._sent or not self._flown:
             self._sent, self._sent_at = guard.sent, now
@@ -225,6 +225,6 @@ class FormationPilot:
         if nearest is None or nearest >= self._near:
             return
         if now - self._near_at > NEAR_MISS_FORGOTTEN_S:
-            self._notices.add(Severity.WARNING, f"formation: somebody {nearest:.1f} m away")
-            log.warning("formation: somebody is %.1f m away, at least", nearest)
+            self._notices.add(Severity.WARNING, f"formation: another drone {nearest:.1f} m away")
+            log.warning("formation: another drone is %.1f m away, at least", nearest)
         self._near_at = now

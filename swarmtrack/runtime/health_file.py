@@ -51,9 +51,7 @@ class HealthFile:
             self._next.replace(self._path)
         except OSError as error:  # no reason to end a flight
             if not self.failed:
-                log.warning(
-                    "health file %s: %s; nobody can tell by it how we are", self._path, error.strerror
-                )
+                log.warning("health file %s: %s; the health in it is out of date", self._path, error.strerror)
             self.failed += 1
 
     def close(self) -> None:

@@ -36,11 +36,11 @@ class KeyRenewal:
             if found is None:
                 continue
             log.warning(
-                "roster number %d, certificate until %s UTC: links are made anew",
+                "roster number %d, certificate until %s UTC: links are renewed",
                 found.roster.number,
                 found.expires.strftime("%Y-%m-%d %H:%M"),
             )
             try:
                 await self._transport.renew(found)
             except TransportError as error:
-                log.error("%s: we go on by the old roster", error)
+                log.error("%s: the old roster stays in use", error)

@@ -222,4 +222,4 @@ def _read(decoder: msgspec.msgpack.Decoder[T] | msgspec.json.Decoder[T], message
     try:
         return decoder.decode(message.data)
     except msgspec.MsgspecError as error:
-        raise RecordingError(f"{message.topic}: a record that is no {kind}: {error}") from None
+        raise RecordingError(f"{message.topic}: a record that is not {kind}: {error}") from None

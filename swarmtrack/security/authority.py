@@ -90,7 +90,7 @@ def create_authority(folder: Path, team: str, now: datetime, force: bool = False
         raise KeysError(f"--team: found {team!r}, expected 1 to 64 letters, digits, '-' or '_'")
     if (folder / CA_KEY).exists() and not force:
         raise KeysError(
-            f"{folder / CA_KEY}: is there already; a new CA would lock the whole team out. "
+            f"{folder / CA_KEY}: already exists; a new CA would lock the whole team out. "
             f"Take another folder, or --force"
         )
     try:
@@ -216,7 +216,7 @@ class Authority:
             )
         for file in (key_file(name), signing_key_file(name)):
             if (folder / file).exists():
-                raise KeysError(f"{folder / file}: is there already, expected an empty folder, or --force")
+                raise KeysError(f"{folder / file}: already exists, expected an empty folder, or --force")
 
     def _certificate_in_force(self, name: str) -> x509.Certificate:
         if name not in self.roster.names:

@@ -60,7 +60,9 @@ def read_certificate(path: Path) -> x509.Certificate:
     try:
         return x509.load_pem_x509_certificate(data)
     except ValueError:
-        raise KeysError(f"{path}: is no certificate, expected PEM, as `swarmtrack keys` writes it") from None
+        raise KeysError(
+            f"{path}: is not a certificate, expected PEM, as `swarmtrack keys` writes it"
+        ) from None
 
 
 def read_private_key(path: Path) -> PrivateKey:
@@ -76,7 +78,9 @@ def read_private_key(path: Path) -> PrivateKey:
     except (ValueError, TypeError):  # TypeError: it is encrypted
         key = None
     if not isinstance(key, ec.EllipticCurvePrivateKey | Ed25519PrivateKey):
-        raise KeysError(f"{path}: is no private key of ours, expected PEM, as `swarmtrack keys` writes it")
+        raise KeysError(
+            f"{path}: is not a private key for swarmtrack, expected PEM, as `swarmtrack keys` writes it"
+        )
     return key
 
 

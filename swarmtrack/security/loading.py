@@ -99,12 +99,12 @@ def _check_dates(path: Path, certificate: x509.Certificate, now: datetime) -> No
     begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
     if now < begin:
         raise KeysError(
-            f"{path}: is not valid before {begin:%Y-%m-%d %H:%M} UTC, and this machine's clock says "
+            f"{path}: is not valid before {begin:%Y-%m-%d %H:%M} UTC, and this machine's clock shows "
             f"{now:%Y-%m-%d %H:%M}: most likely the clock is off"
         )
     if now > end:
         raise KeysError(
-            f"{path}: expired on {end:%Y-%m-%d %H:%M} UTC, and this machine's clock says {now:%Y-%m-%d %H:%M}: "
+            f"{path}: expired on {end:%Y-%m-%d %H:%M} UTC, and this machine's clock shows {now:%Y-%m-%d %H:%M}: "
             f"if the clock is right, make a new one with `swarmtrack keys issue --renew`"
         )
     if now > end - CERTIFICATE_EXPIRES_SOON:
@@ -117,11 +117,11 @@ def _signer(folder: Path, name: str, roster: Roster) -> _Signer | None:
     path = folder / signing_key_file(name)
     key = read_private_key(path)
     if not isinstance(key, Ed25519PrivateKey):
-        raise KeysError(f"{path}: is no Ed25519 key, expected the one from `swarmtrack keys issue`")
+        raise KeysError(f"{path}: is not an Ed25519 key, expected the one from `swarmtrack keys issue`")
     if roster.drones.get(names.drone_id(name)) != key.public_key().public_bytes_raw():
         raise KeysError(
-            f"{folder / 'roster.toml'}: number {roster.number} does not know this key of {name}, expected the newest "
-            f"roster.toml and roster.sig from the CA's folder; nobody would believe our announcement"
+            f"{folder / 'roster.toml'}: number {roster.number} does not list this key of {name}, expected the newest "
+            f"roster.toml and roster.sig from the CA's folder; teammates would reject our announcement"
         )
     return _Signer(key)
 

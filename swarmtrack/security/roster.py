@@ -50,7 +50,7 @@ class Roster:
 
     def to_toml(self) -> bytes:
         lines = [
-            "# Who is in the team, by word of its CA: written by `swarmtrack keys`, signed in roster.sig.",
+            "# Members of the team, as its CA signed them: written by `swarmtrack keys`, signed in roster.sig.",
             f'team = "{self.team}"',
             f"number = {self.number}",
             f"monitors = {_list(self.monitors)}",

@@ -44,11 +44,11 @@ class RosterWatch:
         try:
             found = load_credentials(self._folder, before.name, self._clock.utc())
         except KeysError as error:
-            log.warning("changed, and not taken: %s", error)
+            log.warning("changed, and rejected: %s", error)
             return None
         if found.roster.number < before.roster.number:
             log.warning(
-                "%s: found number %d, expected %d or higher: an old roster is not taken",
+                "%s: found number %d, expected %d or higher: an old roster is rejected",
                 self._folder / ROSTER,
                 found.roster.number,
                 before.roster.number,

@@ -29,11 +29,11 @@ WIRINGS = {
     "px4-uart": Wiring(UART, (PX4_UART, DEVICES)),
     "px4-usb": Wiring(USB, (BY_ID,)),
     "px4-udp": Wiring(
-        "udpin:127.0.0.1:14540", ("PX4's port for companions, from a router beside us.", OUTSIDE)
+        "udpin:127.0.0.1:14540", ("PX4's port for companions, from a router on this computer.", OUTSIDE)
     ),
     "ardupilot-uart": Wiring(UART, (ARDUPILOT_UART, DEVICES)),
     "ardupilot-usb": Wiring(USB, (BY_ID,)),
-    "ardupilot-udp": Wiring("udpin:127.0.0.1:14550", ("Let the router beside us send here.", OUTSIDE)),
+    "ardupilot-udp": Wiring("udpin:127.0.0.1:14550", ("Let the router on this computer send here.", OUTSIDE)),
     "none": Wiring("none", ("No autopilot: the camera is assumed not to turn.",)),
 }
 

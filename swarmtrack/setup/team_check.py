@@ -76,7 +76,7 @@ def _of_two(first: DroneConfig, other: DroneConfig) -> list[str]:
     for common in COMMON:
         mine, theirs = common.of(other), common.of(first)
         if mine != theirs:
-            text = f"{_shown(mine)}, expected what {who} says: {_shown(theirs)}"
+            text = f"{_shown(mine)}, expected {_shown(theirs)} as in {who}"
             problems.append(other.problem(common.key, text))
     problems += _of_keys(first, other)
     here, there = _start(other), _start(first)

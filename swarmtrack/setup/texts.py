@@ -10,12 +10,12 @@ from typing import NamedTuple
 
 NO_PEERS: Mapping[int, str] = MappingProxyType({})
 BY_TAPE = """\
-# Where it stands when its agent starts: [north, east, down] in the team frame (up is negative), the nose clockwise from
+# Its pose at the start of its agent: [north, east, down] in the team frame (up is negative), the nose clockwise from
 # north. position_sigma_m: 0.1 by a tape, 0.3 on a marked pad, 1 paced out. With from = "local" or "gps" instead, the
 # agent may restart in the air."""
 BY_AUTOPILOT = """\
 # The autopilot knows where the drone is, also after a restart in the air. position_sigma_m is how well its local origin
-# is measured; GPS says that itself."""
+# is measured; GPS reports its own accuracy."""
 MOUNT = """
 # Where the camera sits: zero angles look along the nose, upright; pitch 20 looks 20 degrees up, yaw 90 to the right.
 # position_m is [forward, right, down] from the autopilot.
@@ -83,7 +83,7 @@ source = {_quoted(plan.camera)}
 [autopilot]
 {notes}link = {_quoted(plan.link)}
 imu_rate_hz = 200                   # requested from the autopilot, and monitored
-tell = ["status"]                   # what a ground station hears through the autopilot; [] for nothing
+tell = ["status"]                   # what to send to the ground station through the autopilot
 
 # [output]
 # jsonl = "drone-{plan.drone_id}.jsonl"           # one line per frame, in the working directory

@@ -87,7 +87,7 @@ def write_example(args: argparse.Namespace) -> None:
             [f"--{given[0]}: given with --example, which asks nothing: expected --out and --force"]
         )
     if file.exists() and not args.force:
-        raise ConfigError([f"{file}: is there already, expected another --out or --force"])
+        raise ConfigError([f"{file}: already exists, expected another --out or --force"])
     try:
         args.out.mkdir(parents=True, exist_ok=True)
         file.write_text(example.example(), encoding="utf-8")
@@ -105,7 +105,7 @@ def create(args: argparse.Namespace) -> None:
     drone_id = questions.answer("id", "ID of the drone, 1 … 65535", None, answers.drone_id)
     team_file, drone_file = args.out / "team.toml", args.out / f"drone-{drone_id}.toml"
     if drone_file.exists() and not args.force:
-        raise ConfigError([f"{drone_file}: is there already, expected another --id, --out or --force"])
+        raise ConfigError([f"{drone_file}: already exists, expected another --id, --out or --force"])
     new_team = args.force or not team_file.exists()
     team = _new_team(args, questions) if new_team else _team_of(team_file, args)
     files, plan = _drone(args, questions, drone_id, team.name)
@@ -129,7 +129,9 @@ def create(args: argparse.Namespace) -> None:
     kept = "" if new_team else f" ({team_file} is as it was)"
     print(f"written: {', '.join(map(str, files))}{kept}")
     if plan.guessed:
-        print("the lens is guessed: `swarmtrack calibrate intrinsics` measures it, and names get surer by it")
+        print(
+            "the lens is guessed: `swarmtrack calibrate intrinsics` measures it, which makes names more certain"
+        )
     print(f"next: swarmtrack doctor --config {drone_file}")
 
 
@@ -193,7 +195,7 @@ def _team_of(file: Path, args: argparse.Namespace) -> TeamPlan:
         raise ConfigError([f"--team: {args.team}, expected {name} as in {file}, or --force"])
     for flag in OF_THE_TEAM:
         if getattr(args, flag):
-            raise ConfigError([f"--{flag}: {file} is there already, expected that to be edited, or --force"])
+            raise ConfigError([f"--{flag}: {file} already exists, expected that to be edited, or --force"])
     return TeamPlan(name)
 
 
@@ -243,5 +245,5 @@ def _copy(calibration: Path, args: argparse.Namespace) -> dict[Path, bytes]:
     if copy.exists() and copy.read_bytes() == content:
         return {}
     if copy.exists() and not args.force:
-        raise ConfigError([f"{copy}: is there already and another one, expected another name, or --force"])
+        raise ConfigError([f"{copy}: already exists and another one, expected another name, or --force"])
     return {copy: content}

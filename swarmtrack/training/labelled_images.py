@@ -179,7 +179,9 @@ def _numbers(where: str, texts: Sequence[str]) -> list[float]:
 
 def _rows(path: Path, columns: Sequence[str]) -> Iterator[tuple[int, Mapping[str, str]]]:
     if not path.is_file():
-        raise DataError(f"{path}: no such file; beside images.csv lies labels.csv, and the images in images/")
+        raise DataError(
+            f"{path}: no such file; expected labels.csv next to images.csv, and the images in images/"
+        )
     with path.open(newline="") as file:
         reader = csv.DictReader(file)
         missing = [column for column in columns if column not in (reader.fieldnames or ())]

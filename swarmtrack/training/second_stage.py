@@ -160,7 +160,7 @@ class _Pools:
         self.kinds = [DRONE_CLASS, *sorted(self._pools.keys() - {DRONE_CLASS})]
         if len(self.kinds) < 2 or DRONE_CLASS not in self._pools:
             raise TrainingError(
-                f"candidates are {', '.join(self._pools) or 'none'}, expected drones and what is none"
+                f"candidates are {', '.join(self._pools) or 'none'}, expected drones and non-drones"
             )
         others = max(len(self.kinds) - 2, 1)
         weights = np.array([{DRONE_CLASS: 4.0, OTHER: 2.0}.get(kind, 2.0 / others) for kind in self.kinds])

@@ -65,7 +65,7 @@ def _markdown(model: Path, history: Sequence[dict[str, float]], found: dict[str,
             lines.append("| " + " | ".join(cells) + " |")
     lines += [
         "",
-        "`worst.jpg`: red what is none and was taken for a drone, with its score; green drones that were missed.",
+        "`worst.jpg`: red: false detections, with their scores; green: missed drones.",
     ]
     return "\n".join(lines) + "\n"
 

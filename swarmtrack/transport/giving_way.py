@@ -100,7 +100,7 @@ class GivingWay:
         self._pacing.look(self._congestion.see(look_at_links(self._streams)), now)
         if self._pacing.gives_way:
             if now - self._gave_way_at > PACE_LOG_QUIET_S:
-                log.warning("network: the radio is full: tracks are said less often")
+                log.warning("network: the radio is full: tracks are published less often")
             self._gave_way_at = now
 
 

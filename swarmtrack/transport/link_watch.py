@@ -68,7 +68,7 @@ class LinkWatch:
         strangers = self.strangers(up) - self._strangers
         self._strangers |= strangers
         lines = [
-            f"network: {name} has a certificate of our CA but is not in our roster, and is not heard: "
+            f"network: {name} has a certificate of our CA but is not in our roster, its messages are ignored: "
             f"is {self._roster_number}the newest?"
             for name in sorted(strangers)
         ]

@@ -107,7 +107,7 @@ def hint_at(others: Sequence[str]) -> str:
         return ""
     named = ", ".join(plain(other, 64) for other in others[:MOST_TEAMS_NAMED])
     more = f" and {len(others) - MOST_TEAMS_NAMED} more" if len(others) > MOST_TEAMS_NAMED else ""
-    return f"heard are drones of {named}{more}: --team {plain(others[0], 64)}"
+    return f"found drones of {named}{more}: --team {plain(others[0], 64)}"
 
 
 def credentials_in(folder: Path, role: Role) -> Credentials:
@@ -116,5 +116,5 @@ def credentials_in(folder: Path, role: Role) -> Credentials:
     from swarmtrack.security.loading import find_name, load_credentials  # noqa: PLC0415
 
     if not folder.is_dir():
-        raise KeysError(f"--keys {folder}: is no folder, expected one that `swarmtrack keys issue` made")
+        raise KeysError(f"--keys {folder}: is not a folder, expected one that `swarmtrack keys issue` made")
     return load_credentials(folder, find_name(folder, role), SystemClock().utc())

@@ -93,13 +93,13 @@ def check(settings: NetworkSettings) -> None:
         # Scouting is not encrypted, with keys or without.
         if not settings.insecure:
             raise TransportError(
-                "network.multicast: scouting tells everyone in reach who flies, keys or not; "
+                "network.multicast: scouting shows the drones to everyone in reach, keys or not; "
                 "leave it out and list network.peers, or write `insecure = true` under [network]"
             )
         if not settings.listen:
             raise TransportError(
                 "network.listen: is empty, expected this machine's address (tcp/ADDRESS:PORT), "
-                "so that those who find us by multicast can connect"
+                "so that peers that find us by multicast can connect"
             )
 
 

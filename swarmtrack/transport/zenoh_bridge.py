@@ -134,5 +134,5 @@ class Bridge:
         return sample
 
     def _schedule(self, call: Callable[..., object], *arguments: object) -> None:
-        with contextlib.suppress(RuntimeError):  # the loop is closed: nobody listens any more
+        with contextlib.suppress(RuntimeError):  # the loop is closed: nothing listens any more
             call(*arguments)

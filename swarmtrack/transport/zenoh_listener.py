@@ -96,7 +96,7 @@ class ZenohListener:
 
     async def _renew(self, found: Credentials) -> None:
         """Links are closed and made anew."""
-        log.warning("roster number %d: links are made anew", found.roster.number)
+        log.warning("roster number %d: links are renewed", found.roster.number)
         await self._leave()
         self._network = replace(self._network, credentials=found)
         await keep_joining(self._join)
@@ -146,7 +146,7 @@ class ZenohListener:
             replies = session.liveliness().get(anyone, timeout=TEAMS_ANSWER_S)
             return [str(reply.ok.key_expr) for reply in replies if reply.ok is not None]
 
-        found = map(keys.parse, await bounded(look, SESSION_OPEN_S, "ask who lives"))
+        found = map(keys.parse, await bounded(look, SESSION_OPEN_S, "ask for live agents"))
         return {address.team for address in found if address is not None}
 
     def links(self) -> LinksUp:
@@ -196,4 +196,4 @@ def _expression(text: str) -> zenoh.KeyExpr:
     try:
         return zenoh.KeyExpr(text)
     except zenoh.ZError as error:
-        raise TransportError(f"{text!r} is no key expression: {plain(error)}") from None
+        raise TransportError(f"{text!r} is not a key expression: {plain(error)}") from None

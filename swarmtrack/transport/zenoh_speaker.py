@@ -48,7 +48,7 @@ class ZenohSpeaker:
 
     async def _renew(self, found: Credentials) -> None:
         """Links are closed and made anew; what is said meanwhile is lost and counted."""
-        log.warning("roster number %d: links are made anew", found.roster.number)
+        log.warning("roster number %d: links are renewed", found.roster.number)
         await self._leave()
         self._network = replace(self._network, credentials=found)
         await keep_joining(self._join)

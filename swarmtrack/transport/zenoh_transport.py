@@ -159,7 +159,7 @@ class ZenohTransport:
             if not deaf:
                 continue
             whom = ", ".join(map(str, deaf))
-            log.warning("network: drone %s is still not heard, though linked: links are made again", whom)
+            log.warning("network: drone %s is still silent, though linked: links are renewed", whom)
             self._counters["links_renewed"] += 1
             async with self._changing:
                 await self._leave()
@@ -310,7 +310,7 @@ class ZenohTransport:
             f"{self._watch.describe(up)}{self._giving_way.note}"
         )
         if silent:
-            text += f"; not heard: drone {', '.join(map(str, silent))}"
+            text += f"; silent: drone {', '.join(map(str, silent))}"
         ok = self._session is not None and self._watch.is_connected(up)
         return LinkStatus("zenoh", ok, text, tuple(counters.items()))
 

@@ -41,7 +41,7 @@ def announcement_message(announcement: Announcement, utc_offset: float, now: flo
     """Ours as it goes on the wire at `now`, unsigned. Raises ValueError where its attitude is none."""
     a = announcement
     if not is_rotation(a.world_from_body):
-        raise ValueError("announcement: world_from_body is no rotation")
+        raise ValueError("announcement: world_from_body is not a rotation")
     return AnnouncementMessage(
         *peer_fields(a.drone_id, a, utc_offset),
         position_m=tuple(a.position.tolist()),

@@ -232,7 +232,7 @@ def test_what_is_heard_after_the_agent_stood_still_engages_nobody(tick_first):
     for _ in range(6):
         pilot.to(POSITION, intended=OFFBOARD)
     pilot.engagement.tick(asleep + 8.0)
-    assert pilot.engagement.take_end(asleep + 8.0) == "the agent stood still for 8.0 s"
+    assert pilot.engagement.take_end(asleep + 8.0) == "the agent stalled for 8.0 s"
     assert not pilot.engagement.wants_stream
     assert not pilot.to(OFFBOARD)
 
@@ -326,7 +326,7 @@ def test_where_a_switch_is_asked_for_mode_and_switch_engage_and_either_ends_it()
     assert throw(1900)
     pilot.engagement.tick(pilot.t + 2.1)
     assert not pilot.engagement.engaged
-    assert pilot.engagement.take_end() == "the transmitter is not heard"
+    assert pilot.engagement.take_end() == "no signal from the transmitter"
 
 
 def test_a_switch_that_is_on_at_take_off_engages_nobody_without_the_mode():

@@ -104,7 +104,9 @@ async def test_who_does_not_answer_is_taken_to_be_as_usual_and_is_not_asked_for_
     assert flight.listener.imu[-1].gyro_delay == pytest.approx(0.01125, abs=1e-5)
     assert flight.count["gyro_delay_sigma_s"] == 4e-3
     assert (
-        sum("INS_GYRO_FILTER was not told, and usually is 20 Hz" in r.getMessage() for r in caplog.records)
+        sum(
+            "INS_GYRO_FILTER was not reported, and usually is 20 Hz" in r.getMessage() for r in caplog.records
+        )
         == 1
     )
 

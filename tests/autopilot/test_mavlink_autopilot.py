@@ -425,7 +425,7 @@ def key_file(tmp_path: Path) -> Path:
 async def test_with_a_key_an_unsigned_autopilot_is_refused_by_name(key_file):
     async with Flight(FakeAutopilot(), signing_key=key_file) as flight:
         flight.fly(4.0)
-        assert "1/1 speaks unsigned, and we hold a signing key" in flight.text
+        assert "1/1 sends unsigned messages, and we hold a signing key" in flight.text
         assert not flight.listener.imu
         assert flight.count["unsigned"] >= 4
     async with Flight(FakeAutopilot(key=bytes(32)), signing_key=key_file) as flight:
@@ -622,7 +622,7 @@ async def test_who_forges_an_autopilot_from_another_address_is_counted_and_moves
         places = [pose.position for pose in flight.listener.poses if pose.position is not None]
         assert places
         assert np.abs(places).max() < 10.0
-        assert sum("speaks as well" in line for line in caplog.messages) == 1
+        assert sum("sends as well" in line for line in caplog.messages) == 1
 
 
 @pytest.mark.parametrize(("host", "warned"), [("0.0.0.0", True), ("127.0.0.1", False)])

@@ -68,18 +68,18 @@ def test_addresses_of_both_habits_have_one_normal_form(written, normal):
         ("udpni:0.0.0.0:14540", "did you mean 'udpin'"),
         ("0.0.0.0:14540", "has no scheme"),
         ("14540", "has no scheme"),
-        ("tcpin:0.0.0.0:5760", "let us call it with tcp:"),
+        ("tcpin:0.0.0.0:5760", "connect to the autopilot with tcp:"),
         ("COM3", "a Windows port"),
         ("udpin:0.0.0.0", "expected HOST:PORT"),
         ("udpin:0.0.0.0:0", r"port in 1…65535"),
         ("udpin:0.0.0.0:99999", r"port in 1…65535"),
-        ("udpout::14550", "names no host"),
+        ("udpout::14550", "has no host"),
         ("udpout:drone..local:14550", "found host 'drone..local'"),
         ("tcp:127.0.0.1:²", "found port '²'"),
         ("serial:921600:/dev/ttyACM0", "found device '921600"),
         ("serial:/dev/ttyACM0:fast", "found baud rate 'fast'"),
         ("serial:ttyACM0:921600", "expected a path such as /dev/ttyACM0"),
-        ("tlog:", "names no file"),
+        ("tlog:", "has no file"),
         ("tlog:a.tlog?sped=1", "found sped=1"),
         ("tlog:a.tlog?speed=quick", "found speed=quick"),
         ("", "unknown scheme"),
@@ -92,7 +92,7 @@ def test_mistakes_in_addresses_are_explained(written, explained):
 
 
 def test_a_recording_that_does_not_exist_can_never_work(tmp_path):
-    with pytest.raises(SourceError, match="there is no file"):
+    with pytest.raises(SourceError, match="no such file"):
         open_link(f"tlog:{tmp_path}/missing.tlog", ManualClock())
 
 
@@ -180,7 +180,7 @@ async def test_udpin_keeps_to_its_first_peer_while_that_lives(caplog):
             assert b"forged" not in receiver.bytes
             assert link.foreign == 4
             (said,) = caplog.messages
-            assert f"127.0.0.1 port {stranger.getsockname()[1]} speaks as well: not read" in said
+            assert f"127.0.0.1 port {stranger.getsockname()[1]} sends as well: ignored" in said
             # A router that was restarted speaks from another port.
             clock.set(clock.now() + UDP_PEER_SILENT_S)
             stranger.sendto(b"the autopilot's new address", ("127.0.0.1", port))
@@ -227,7 +227,7 @@ async def test_udpout_speaks_first_and_says_when_nobody_listens():
         while not link.remark:
             link.send(b"hello")
             await asyncio.sleep(0.001)
-        assert link.remark == "nobody listens there"
+        assert link.remark == "nothing listens there"
 
 
 @pytest.mark.parametrize("scheme", ["udpout", "tcp"])
@@ -245,7 +245,7 @@ async def test_a_name_server_that_does_not_answer_is_named_in_time(monkeypatch, 
 
 async def test_tcp_says_who_refused_and_who_hung_up():
     port = free_port()
-    with pytest.raises(LinkDown, match=f"nobody listens at 127.0.0.1:{port}"):
+    with pytest.raises(LinkDown, match=f"nothing listens at 127.0.0.1:{port}"):
         await open_link(f"tcp:127.0.0.1:{port}", SystemClock()).run(Recorder())
 
     async def greet_and_leave(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:

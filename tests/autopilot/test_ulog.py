@@ -173,9 +173,9 @@ def test_a_log_that_is_cut_off_is_used_as_far_as_it_goes(tmp_path):
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"\xa3\x95\x80\x80\x59FMT", "is a DataFlash log of ArduPilot, which is not read"),
-        (b"", "is no ULog (it begins with )"),
-        (b"\x00\x05\x9c\x11\x22\x33\x44\x55\xfd", "is no ULog (it begins with 00 05 9c"),
+        (b"\xa3\x95\x80\x80\x59FMT", "is a DataFlash log of ArduPilot, which is not supported"),
+        (b"", "is not a ULog (it begins with )"),
+        (b"\x00\x05\x9c\x11\x22\x33\x44\x55\xfd", "is not a ULog (it begins with 00 05 9c"),
         (b"ULog\x01\x12\x35", "is broken or cut off in its header"),
         (b"ULog\x01\x12\x35\x01" + bytes(8), "holds no gyro, expected the topic sensor_combined"),
         (b"ULog\x01\x12\x35\x01" + bytes(8) + bytes(range(256)) * 40, "is broken or cut off"),

@@ -49,7 +49,7 @@ def test_a_flight_is_between_its_first_and_its_last_line():
     for line in (
         "waiting for the simulator …",
         "   0 s  nothing to judge yet",
-        "  12 s  names 100% right",
+        "  12 s  names 100% correct",
         "PASSED",
     ):
         heard.line(line)

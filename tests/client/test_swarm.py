@@ -159,7 +159,7 @@ async def test_a_router_that_does_not_answer_is_an_error_at_once(team, tmp_path)
 def test_what_contradicts_itself_is_refused_with_a_sentence(tmp_path):
     with pytest.raises(TransportError, match="not on loopback"):
         Swarm("red", connect=["10.0.0.1"])
-    with pytest.raises(KeysError, match="is no folder"):
+    with pytest.raises(KeysError, match="is not a folder"):
         Swarm("red", keys=tmp_path / "nowhere")
     with pytest.raises(ValueError, match="'nwu' is not a valid Axes"):
         Swarm("red", axes="nwu")
@@ -258,7 +258,7 @@ async def test_with_keys_a_drone_s_own_folder_speaks_for_its_radio_and_no_other(
                 await asyncio.sleep(0.02)
             async with Ranging(1, config=file, keys=team.folder / "drone-1") as ranging:
                 await say_until_heard(ranging, heard, 2, 8.5, 0.1)
-                # A newer roster reaches it, too: links are made anew, and it is heard again.
+                # A newer roster reaches it, too: links are renewed, and it is received again.
                 team.issue("3")
                 await eventually(lambda: not ranging.linked)
                 await eventually(lambda: ranging.linked)

@@ -95,7 +95,7 @@ def test_without_a_leader_there_is_no_formation(team):
         ("speed_m_s", "sped_m_s", 'formation.limits.sped_m_s: unknown key, did you mean "speed_m_s"?'),
         ("height_m = 5.0", "references = { 2 = [2] }", "references.2: found [2], expected other drones"),
         ("height_m = 5.0", "references = { 7 = [1] }", "references.7: no follower, expected one of 2, 3"),
-        ("height_m = 5.0", "references = { 2 = [3], 3 = [2] }", "drone 2 does not hang on the leader 1"),
+        ("height_m = 5.0", "references = { 2 = [3], 3 = [2] }", "drone 2 does not depend on the leader 1"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_flown_is_refused_with_file_and_line(team, old, new, said):
@@ -114,7 +114,7 @@ def test_what_cannot_be_flown_is_refused_with_file_and_line(team, old, new, said
             "2 = [-2.0, 2.0, -3.0]",
             "formation.slots.2: drone 1 is 47° below the camera's axis",
         ),
-        ('share = "velocity"', "", "formation.leader: the detector's boxes tell a distance to 13%"),
+        ('share = "velocity"', "", "formation.leader: the detector's boxes give a range to 13%"),
     ],
 )
 def test_what_this_drones_camera_and_detector_cannot_do_is_refused(team, capsys, old, new, said):

@@ -104,7 +104,7 @@ def test_a_plan_with_a_drone_that_is_not_of_the_team_is_refused(load, tmp_path):
         (
             "drone.id = 2\ndrone.start = { position_m = [0.0, 0.0, -0.1] }",
             TEAM,
-            "drone.start.position_m: [0.0, 0.0, -0.1], expected what [team.drones] says of drone 2: [5.0, 1.0, -0.1]",
+            "drone.start.position_m: [0.0, 0.0, -0.1], expected [team.drones] of drone 2: [5.0, 1.0, -0.1]",
         ),
         ("drone.id = 1", TEAM + "1 = {}\n", "team.toml:8: Cannot overwrite a value, expected valid TOML"),
         ("drone.id = 1", TEAM + "0 = {}\n", 'found the key "0", expected drone IDs'),
@@ -155,7 +155,7 @@ def test_the_check_shows_who_is_where_and_finds_teams_that_differ(load, tmp_path
     assert main(["config", "check", str(tmp_path / "one.toml")]) == 0
     shown = capsys.readouterr().out
     assert "teammates  2 at [5.0, 1.0, -0.1] ±0.5 m, 7 somewhere" in shown
-    assert "silent     nothing is told to the team, and nothing asked" in shown
+    assert "silent     nothing is sent to the team, nothing requested" in shown
     assert main(["config", "check", *(str(tmp_path / name) for name in ("one.toml", "two.toml"))]) == 2
     said = capsys.readouterr().err
     assert "team.drones: [1 at" in said

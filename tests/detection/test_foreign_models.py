@@ -165,7 +165,8 @@ def test_what_cannot_be_is_said_in_a_sentence(tmp_path, written, declared, sente
 def test_outputs_of_no_known_head_are_shown_with_what_is_known(tmp_path):
     path = spot_net(tmp_path / "net.onnx", "detr", size=(96, 64))  # (1, 300, 5), of how many classes?
     with pytest.raises(
-        ModelError, match=r"net\.onnx: cannot tell .* \(1, 300, 5\) for an input of 96x64; known are"
+        ModelError,
+        match=r"net\.onnx: its outputs have no known format: .* \(1, 300, 5\) for an input of 96x64; known are",
     ):
         Detector(path)
 

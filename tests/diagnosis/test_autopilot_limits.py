@@ -177,10 +177,10 @@ def test_a_recording_is_asked_nothing(tmp_path, capsys):
     (tmp_path / "flight.tlog").write_bytes(b"")
     config.write_text(CONFIG.format(id=2, link="tlog:flight.tlog"))
     assert main(["config", "check", str(config), "--autopilot"]) == 0
-    assert "nobody to be asked" in capsys.readouterr().out
+    assert "no autopilot to ask" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(("drone", "said"), [(1, "follows nobody"), (2, "nobody to be asked")])
+@pytest.mark.parametrize(("drone", "said"), [(1, "follows no other"), (2, "no autopilot to ask")])
 def test_where_nobody_is_to_be_asked_it_says_so(tmp_path, capsys, drone, said):
     config = tmp_path / "drone.toml"
     config.write_text(CONFIG.format(id=drone, link="none"))

@@ -150,7 +150,7 @@ PRODUCED = {
     "autopilot.missing": lambda: autopilot("serial:/dev/a:1: searching: no such device: /dev/a", ok=False),
     "autopilot.forbidden": lambda: autopilot("serial:/dev/a:1: searching: permission: /dev/a is", ok=False),
     "autopilot.busy": lambda: autopilot("udpin:h:1: searching: busy, port 1 is held by x (pid 1)", ok=False),
-    "autopilot.unreachable": lambda: autopilot("tcp:h:1: searching: nobody listens at h:1", ok=False),
+    "autopilot.unreachable": lambda: autopilot("tcp:h:1: searching: nothing listens at h:1", ok=False),
     "autopilot.silent": lambda: autopilot("udpin:h:1: searching: port open, 0 bytes", ok=False),
     "autopilot.garbage": lambda: autopilot("serial:x: searching: bytes but no valid frame: wrong baud?", ok=False),
     "autopilot.foreign": lambda: autopilot("x: searching: frames but no autopilot heartbeat (heard: 1/100)", ok=False),
@@ -392,9 +392,7 @@ def test_a_drone_is_ready_where_nothing_fails():
 def test_a_start_that_nobody_measured_is_said_and_keeps_nobody_on_the_ground():
     told = readiness(unmeasured_m=1.0)
     assert told.ready
-    assert told.reasons == (
-        "drone.start.position_sigma_m is not written: the start is taken as known to ± 1 m",
-    )
+    assert told.reasons == ("drone.start.position_sigma_m is missing: ± 1 m",)
     assert not readiness(network=CUT_OFF, unmeasured_m=1.0).ready
 
 
@@ -418,7 +416,7 @@ def test_each_failure_is_a_reason_not_to_fly():
         "no camera",
         "no data from the autopilot in 3 s",
         "network",
-        "another agent speaks as this drone (boots aaaaaaaa)",
+        "another agent uses this drone's ID (boots aaaaaaaa)",
     ]
 
 
@@ -446,7 +444,7 @@ def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
     assert sent.reasons[0].startswith("the camera is open but sent no frame")
     for event in (IdClash(1, (parts.boot, "aaaaaaaa"), True), IdClash(2, ("bbbbbbbb", "cccccccc"), False)):
         health.on_membership(event)
-    assert "another agent speaks as this drone (boots aaaaaaaa)" in health.readiness().reasons
+    assert "another agent uses this drone's ID (boots aaaaaaaa)" in health.readiness().reasons
     health.on_membership(PeerDeparted(1, "aaaaaaaa"))
     assert "another agent" not in " ".join(health.readiness().reasons)
     assert "drone.start.position_sigma_m is not written" in health.readiness().reasons[-1]

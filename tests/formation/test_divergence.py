@@ -59,7 +59,7 @@ def test_a_push_of_a_metre_per_second_is_said_within_five_seconds(way, speed):
     first = next(t for t, doubt in said if doubt)
     assert 6.0 < first < 11.0
     assert all(doubt for t, doubt in said if t > first)
-    assert said[-1][1].endswith("m/s otherwise than told")
+    assert said[-1][1].endswith("m/s off its command")
 
 
 def told(watch, seconds, commanded, velocity, begin):
@@ -75,7 +75,7 @@ def told(watch, seconds, commanded, velocity, begin):
 def test_it_is_said_until_the_drone_has_obeyed_for_a_while_and_a_moment_of_it_changes_nothing():
     watch = DivergenceWatch()
     told(watch, 1.0, STANDSTILL, STANDSTILL, 0.0)
-    assert told(watch, 5.0, STANDSTILL, (1.5, 0.0, 0.0), 1.0)[-1] == "flies 1.4 m/s otherwise than told"
+    assert told(watch, 5.0, STANDSTILL, (1.5, 0.0, 0.0), 1.0)[-1] == "flies 1.4 m/s off its command"
     for k in range(6):
         # By turns it obeys for 2 s and does not for 2 s.
         assert all(told(watch, 2.0, STANDSTILL, STANDSTILL, 6.0 + 4.0 * k))
@@ -105,7 +105,7 @@ def test_a_slot_that_gets_farther_away_although_it_is_flown_to_is_said_for_a_whi
         t = k * DT
         watch.see(t, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
         watch.follow(t, (2.0 + 0.4 * t, 0.0, 0.0), STANDSTILL)
-    assert watch.doubt(t).endswith("m farther off its slot, and was told to come nearer")
+    assert watch.doubt(t).endswith("m farther off its slot, against its command")
     assert watch.doubt(t + DIVERGENCE_HOLDS_S) is None
 
 

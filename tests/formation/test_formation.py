@@ -181,7 +181,7 @@ def test_a_lost_reference_is_said_while_it_fades_and_while_it_holds(flying):
     assert flying.tell(own).why is Why.FADE
     last = flying.tell(own, seconds=3.0)
     assert last.why is Why.NO_REFERENCE
-    assert last.text == "drone 1 is not seen"
+    assert last.text == "drone 1 is not in view"
 
 
 def test_a_reference_that_is_missed_for_a_moment_is_flown_by_on(flying):
@@ -510,7 +510,7 @@ def test_a_drone_that_does_not_fly_as_it_is_told_holds_and_is_told_so(flying):
     setpoint = flying.tell(pushed, {10: leader_from(pushed)}, [track()], seconds=6.0)
     assert setpoint.why is Why.DIVERGES
     assert setpoint.holds
-    assert "otherwise than told" in setpoint.text
+    assert "off its command" in setpoint.text
     # It has to obey for a while.
     own = in_slot()
     whys = [flying.tell(own, {10: leader_from(own)}, [track()]).why for _ in range(100)]

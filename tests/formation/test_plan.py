@@ -50,7 +50,7 @@ def test_slots_that_are_too_near_are_refused():
 def test_a_slot_that_hides_a_reference_is_refused():
     found = faults({2: (-3.0, 0.0, 0.0), 3: (-6.0, 0.4, 0.0)})
     assert [key for key, _ in found] == [("slots", "3")]
-    assert found[0][1].startswith("drone 2 hides drone 1: 0.20 m beside the line of sight")
+    assert found[0][1].startswith("drone 2 hides drone 1: 0.20 m off the line of sight")
     # Who is behind one, or behind the reference, hides nobody.
     assert faults({2: (-3.0, 0.0, 0.0), 3: (3.0, 0.0, 0.0)}) == []
 
@@ -164,7 +164,7 @@ def test_ranges_by_size_alone_need_boxes_that_tell_them():
     assert range_faults(BoxWidth(), told=True) == []
     assert range_faults(BoxWidth(drone_sigma=0.10, wander_sigma=0.05), told=False) == []
     [fault] = range_faults(BoxWidth(), told=False)
-    assert "tell a distance to 23%, expected 12% or better" in fault.text
+    assert "give a range to 23%, expected 12% or better" in fault.text
 
 
 def test_neighbours_at_one_height_are_told_of():

@@ -439,5 +439,5 @@ def test_agents_know_each_other_notice_a_death_a_restart_and_a_clone(tmp_path):
             with timed("one that starts beside a running one is known, from exec"):
                 one.said("drone 2 announced itself", times=2)
             with Flying(second) as clone, timed("clone reported, from exec"):
-                one.said("two agents speak as drone 2")
-                clone.said("another agent speaks as drone 2")
+                one.said("two agents use drone.id = 2")
+                clone.said("another agent uses our drone.id = 2")

@@ -297,7 +297,7 @@ async def test_a_clash_an_absent_drone_and_a_clock_two_hours_ahead(tmp_path):
         await asyncio.gather(skewed.close(), *(drone.stop() for drone in drones))
     by_fault = {finding.fault: finding for finding in findings}
     assert set(by_fault) == {"network.id_clash", "network.absent", "network.clock"}
-    assert by_fault["network.id_clash"].found == "2 agents speak as drone 2 (boots aaaaaaaa, bbbbbbbb)"
+    assert by_fault["network.id_clash"].found == "2 agents use drone.id = 2 (boots aaaaaaaa, bbbbbbbb)"
     assert by_fault["network.absent"].found == "no answer from drone-4"
     assert by_fault["network.clock"].found == "this machine's clock is 2.0 h behind drone 3's"
 

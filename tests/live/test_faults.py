@@ -264,7 +264,7 @@ async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(
     report("frames that the radio had no room for", lost - lost_before, "")
     report("tracks heard, per second and drone", heard / (end - began) / len(team.drones), "")
     assert team.wrong(team.drones, since=began, until=end) == 0
-    assert any(agent.times("tracks are said less often", narrowed) for agent in agents.values())
+    assert any(agent.times("tracks are published less often", narrowed) for agent in agents.values())
     silence = team.longest_silence(began, end)
     if departures and silence > STANDSTILL_S:
         pytest.skip(

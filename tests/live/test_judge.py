@@ -190,7 +190,7 @@ def test_without_a_simulator_there_is_no_verdict(team):
 @pytest.mark.parametrize(
     ("told", "expected"),
     [
-        ({"hello": "world"}, "is no simulator of ours"),
+        ({"hello": "world"}, "is not a swarmtrack simulator"),
         ({"world": "sitl.toml", "seed": 1, "world_time_s": 3.0}, "draws drones that others fly"),
     ],
 )

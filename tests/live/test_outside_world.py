@@ -114,7 +114,7 @@ def flown(tmp_path_factory) -> Flown:
                 lines.append(process.stdout.readline())
                 assert lines[-1], process.communicate()[1]
             flying.process.send_signal(signal.SIGSTOP)
-            while "told nothing for" not in lines[-1]:
+            while "sent nothing for" not in lines[-1]:
                 lines.append(process.stdout.readline())
                 assert lines[-1], process.communicate()[1]
             flying.process.send_signal(signal.SIGCONT)
@@ -203,7 +203,7 @@ def test_links_that_nobody_is_at_are_each_named(tmp_path):
     assert code == 1
     assert said.splitlines()[-1] == "FAILED"
     for n, port in enumerate(ports, 1):
-        named = f"drone {n}: truth link tcp:127.0.0.1:{port} is silent: nobody listens at 127.0.0.1:{port}"
+        named = f"drone {n}: truth link tcp:127.0.0.1:{port} is silent: nothing listens at 127.0.0.1:{port}"
         assert named in complained
     assert not living(tmp_path)
 

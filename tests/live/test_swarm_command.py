@@ -223,7 +223,7 @@ async def test_the_page_stays_after_the_flight_with_its_verdict_until_ctrl_c(tmp
             await page.wait_for_selector("body.over #verdict dd")
             sentence = await page.inner_text("#sentence")
             assert f"{sentence.removeprefix('the flight is over: ')}\n" in said
-            assert "right names" in await page.inner_text("#verdict")
+            assert "correct names" in await page.inner_text("#verdict")
             await page.reload()
             await page.wait_for_selector("body.over #verdict dd")
             assert await page.locator(".camera").count() == 2
@@ -259,7 +259,7 @@ def test_a_flight_says_how_to_listen_to_it_and_who_listens_elsewhere_is_told_of_
     assert heard.returncode == 0, heard.stderr
     assert json.loads(heard.stdout)["key"].startswith(f"swarmtrack/{team}/v1/identities/")
     deaf = echo("tracks/*", "--team", f"{team}-not", "--seconds", "4")
-    assert f"nothing of team '{team}-not' yet; heard are drones of " in deaf.stderr
+    assert f"nothing of team '{team}-not' yet; found drones of " in deaf.stderr
     assert "Heard are drones of " in deaf.stderr.splitlines()[-1]
     assert team in deaf.stderr.replace(f"{team}-not", "")
     flight.send_signal(signal.SIGINT)

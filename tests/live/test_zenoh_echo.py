@@ -149,7 +149,7 @@ async def test_silence_is_an_error_that_says_what_to_check(team: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["a//b"], "is no key expression"),
+        (["a//b"], "is not a key expression"),
         (["tracks/*", "--connect", "tcp/192.168.1.5:7447"], "--insecure"),
         (["tracks/*", "--count", "-1"], "found -1, expected a whole number above 0"),
         (["tracks/*", "--seconds", "nan"], "found nan, expected a number of seconds above 0"),

@@ -158,7 +158,7 @@ async def test_running_out_of_descriptors_is_said_once_and_heals(monkeypatch, ca
     async with served() as one, aiohttp.ClientSession() as http:
         assert await status_of(one.url, http) == 200
     assert caplog.messages == [
-        "monitor: nobody can come in: Too many open files (see ulimit -n); trying again"
+        "monitor: no viewer can connect: Too many open files (see ulimit -n); trying again"
     ]
 
 

@@ -48,7 +48,7 @@ def test_a_follower_tells_its_slot_and_how_far_off_it_is():
 
 
 def test_who_holds_says_why_and_knows_no_error():
-    drone = told(replace(FLIES, ok=False, text="drone 1 is not seen", counters=FLIES.counters[:-1]))
+    drone = told(replace(FLIES, ok=False, text="drone 1 is not in view", counters=FLIES.counters[:-1]))
     assert drone["formation"]["holds"]
     assert drone["formation"]["error_m"] is None
     assert drone["troubles"] == ["holds: drone 1 is not seen"]

@@ -54,7 +54,7 @@ async def test_when_the_flight_is_over_the_page_keeps_what_it_showed_and_the_ver
     clock = ManualClock(0.0)
     team, listener, over, viewer = MonitoredTeam("red", clock), Silence(), asyncio.Event(), Somebody()
     end = FlightEnd(
-        "bad", "the flight is over: FAILED", ["a line"], [("right names", "0.9", "≥ 0.97")], "look"
+        "bad", "the flight is over: FAILED", ["a line"], [("correct names", "0.9", "≥ 0.97")], "look"
     )
 
     async def ending() -> FlightEnd:
@@ -73,7 +73,7 @@ async def test_when_the_flight_is_over_the_page_keeps_what_it_showed_and_the_ver
     await eventually(lambda: len(viewer.told) >= count + 3)
     last = viewer.told[-1]
     assert last["light"] == {"kind": "bad", "text": "the flight is over: FAILED", "also": ["a line"]}
-    assert last["over"] == {"rows": [("right names", "0.9", "≥ 0.97")], "again": "look"}
+    assert last["over"] == {"rows": [("correct names", "0.9", "≥ 0.97")], "again": "look"}
     assert [drone["gone_s"] for drone in last["drones"]] == [None]
     listener.ended.set()
     await feed
@@ -92,11 +92,9 @@ async def test_a_silent_teams_page_names_those_that_are_heard_and_the_terminal_o
     assert team.state()["light"]["also"] == [START_ONE]
     await LiveFeed(team, listener).run(Nobody())
     light = team.state()["light"]
-    assert light["text"] == "no drone of team red is heard"
-    assert light["also"] == ["heard are drones of blue, sim-1234: --team blue"]
-    assert caplog.messages == [
-        "no drone of team red is heard; heard are drones of blue, sim-1234: --team blue"
-    ]
+    assert light["text"] == "no drone of team red is found"
+    assert light["also"] == ["found drones of blue, sim-1234: --team blue"]
+    assert caplog.messages == ["no drone of team red is found; found drones of blue, sim-1234: --team blue"]
 
 
 async def test_a_network_that_does_not_answer_names_nobody():

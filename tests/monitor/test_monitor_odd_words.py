@@ -228,7 +228,7 @@ WORDS_OF_BOTH = [
         ("state", "the state of drone 7 is left out, it cannot be shown: ValueError"),
         ("bug", "the state of drone 7 is left out, it cannot be shown: ZeroDivisionError"),
         ("hearing", "a message (health) of drone 7 is left out, it cannot be shown: ZeroDivisionError"),
-        ("verdict", "who sees whom is left out, it cannot be shown: ZeroDivisionError"),
+        ("verdict", "the table of identities is left out, it cannot be shown: ZeroDivisionError"),
         ("picture", "a picture of drone 7 is left out, it cannot be shown: ZeroDivisionError"),
     ],
 )

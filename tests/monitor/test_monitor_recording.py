@@ -243,7 +243,7 @@ def test_two_processes_that_speak_as_one_drone_are_played(tmp_path):
     fly(tmp_path, 3.0, faults=True)
     playback = Playback(read_timeline([tmp_path / "rec"]))
     light = at(playback, 1.4)["light"]
-    assert (light["kind"], light["text"]) == ("bad", "2 processes speak as drone 99")
+    assert (light["kind"], light["text"]) == ("bad", "2 processes use ID 99")
     assert "processes" not in json.dumps(at(playback, 2.0)["light"])
 
 
@@ -258,7 +258,11 @@ def test_what_is_cut_off_is_played_as_far_as_it_goes_and_told(heard, tmp_path):
 
 @pytest.mark.parametrize(
     ("content", "says"),
-    [(None, "holds no .mcap file"), (b"", "is no MCAP file"), (b"\x89MCAP0\r\n", "is no recording of ours")],
+    [
+        (None, "holds no .mcap file"),
+        (b"", "is not an MCAP file"),
+        (b"\x89MCAP0\r\n", "is not a swarmtrack recording"),
+    ],
 )
 def test_what_is_no_recording_is_refused_with_a_sentence(content, says, tmp_path, capsys):
     if content is not None:
@@ -273,7 +277,7 @@ def test_a_recording_without_a_word_is_refused(tmp_path):
     recorder.flown("started", 1)
     recorder.close()
     with pytest.raises(
-        RecordingError, match="holds no word of any drone, expected the recording of a flight"
+        RecordingError, match="holds no message of any drone, expected the recording of a flight"
     ):
         read_timeline([tmp_path])
 

@@ -660,7 +660,7 @@ def test_check_says_what_is_told_and_warns(tmp_path):
         check=False,
     )
     assert result.returncode == 0, result.stderr
-    assert "telling    status, camera_tracking, adsb" in result.stdout
+    assert "sending    status, camera_tracking, adsb" in result.stdout
     assert (
         "warning: autopilot.tell: adsb: an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades"
         in result.stdout

@@ -199,7 +199,7 @@ def test_an_attachment_of_brackets_is_no_json(tmp_path):
         tmp_path / "life", 1.0, attachments=(Attached("config.json", "application/json", b"[" * 200_000),)
     )
     (recording,) = recordings_below(file)
-    with pytest.raises(RecordingError, match=r"config\.json is missing or no JSON"):
+    with pytest.raises(RecordingError, match=r"config\.json is missing or not JSON"):
         read_settings(recording)
 
 

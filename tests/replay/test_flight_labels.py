@@ -58,7 +58,7 @@ def test_what_is_not_sure_enough_is_left_out(flight):
     """A body of 2 cm is smaller than a pose is sure: no picture can be labelled, and it is told why."""
     labels = FlightLabels(recordings_below(flight), Body(0.02, 0.01))
     assert list(labels.pictures()) == []
-    assert labels.skipped["a teammate's place in it is not sure enough"] > 10
+    assert labels.skipped["a teammate's position in it is too uncertain"] > 10
 
 
 def test_the_command_writes_what_train_reads(flight, tmp_path, capsys):

@@ -321,7 +321,7 @@ def test_a_replay_moves_the_gyro_to_where_it_belongs_and_only_on_request(flown):
         ("tracker.p_detection=1.5", "--set:1: tracker.p_detection: 1.5, expected"),
         ("tracker.name=particle", "tracker.name: \"particle\", expected one of"),
         ("motion.history_s=true", "--set:1: motion.history_s: true, expected"),
-        ("network.team=blue", "has no say in a replay"),
+        ("network.team=blue", "has no effect in a replay"),
         ("p_detection=0.5", "expected TABLE.KEY=VALUE"),
         ("tracker.p_detection", "expected TABLE.KEY=VALUE"),
     ],

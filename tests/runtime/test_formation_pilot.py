@@ -229,7 +229,7 @@ async def test_an_old_decision_is_zero_velocity_and_a_dead_one_hands_back_with_a
         assert all(message.yaw_rate == 0.0 for age, message in ages if age > SETPOINT_STALE_S + 0.05)
         assert max(age for age, _ in ages) == pytest.approx(SETPOINT_DEAD_S, abs=0.2)
         companion.fly(0.1)
-        assert companion.notices.said[-1].startswith("formation released: the agent stood still for 3")
+        assert companion.notices.said[-1].startswith("formation released: the agent stalled for 3")
         # And for good: that decisions come again does not engage it.
         companion.fly(1.0)
         assert companion.since(decided + SETPOINT_DEAD_S + 0.2) == []
@@ -358,7 +358,7 @@ async def test_the_pilot_hears_of_whoever_is_nearer_than_one_and_a_half_times_th
         companion.door.nearest = 1.0
         companion.fly(1.0)
         heard = [text for text in companion.notices.said if "away" in text]
-        assert heard == ["formation: somebody 2.2 m away", "formation: somebody 1.0 m away"]
+        assert heard == ["formation: another drone 2.2 m away", "formation: another drone 1.0 m away"]
 
 
 async def test_what_may_drift_while_it_holds_asks_the_pilot_to_take_over():

@@ -219,5 +219,5 @@ async def test_what_ended_it_is_said():
     sky.fly(8.0)
     sky.frozen = False
     sky.fly(1.0)
-    assert re.fullmatch(r"formation released: the agent stood still for 8\.[01] s", sky.notices.said[-1])
+    assert re.fullmatch(r"formation released: the agent stalled for 8\.[01] s", sky.notices.said[-1])
     await sky.kill()

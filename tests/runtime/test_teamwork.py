@@ -82,7 +82,7 @@ def test_each_event_is_a_line_for_people(parts):
 
 def test_whoever_is_no_member_any_more_is_said_to_be(parts):
     (line,) = listen(parts, [PeerExpelled(3)]).events
-    assert line == "drone 3 is no longer in the team's roster, and is not heard any more"
+    assert line == "drone 3 is no longer in the team's roster, its messages are ignored"
 
 
 @pytest.mark.parametrize(
@@ -121,7 +121,7 @@ def test_a_teammate_that_floods_fills_no_log_and_what_the_others_do_is_still_tol
         (
             Teamwork.on_doubt,
             DoubtNews(5.0, doubted=True),
-            f"{SELF_DOUBT}: until that is over the team is told that our place is unknown",
+            f"{SELF_DOUBT}: until they agree, we announce our position as unknown",
         ),
         (
             Teamwork.on_doubt,

@@ -80,7 +80,7 @@ async def test_a_browser_plays_the_video(tracked: Path) -> None:
 @needs_clip
 def test_nothing_is_overwritten(tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert swarmtrack.main(["video", str(CLIP), "--out", str(tracked)]) == 2
-    assert "is there already, expected an empty folder or a new one" in capsys.readouterr().err
+    assert "already exists, expected an empty folder or a new one" in capsys.readouterr().err
 
 
 def test_what_is_no_video_is_refused_with_a_sentence(

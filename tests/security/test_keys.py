@@ -262,11 +262,11 @@ def write_garbage(ca: Path) -> None:
             r"drone-1\.pem: is the certificate of 'drone-2', expected that of drone-1",
         ),
         (take_anothers_key, r"drone-1\.key: does not belong to drone-1\.pem"),
-        (take_an_old_signing_key, r"roster\.toml: number 1 does not know this key of drone-1"),
+        (take_an_old_signing_key, r"roster\.toml: number 1 does not list this key of drone-1"),
         (take_another_ca, r"drone-1\.pem: was not issued by the CA in ca\.pem"),
         (edit_the_roster, r"roster\.toml: is not what this team's CA signed"),
         (lose_the_signature, r"roster\.sig: cannot be read"),
-        (write_garbage, r"drone-1\.pem: is no certificate"),
+        (write_garbage, r"drone-1\.pem: is not a certificate"),
         (lambda ca: shutil.rmtree(ca / "drone-1"), r"no folder .*drone-1, expected the one that"),
     ],
 )

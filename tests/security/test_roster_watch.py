@@ -81,7 +81,7 @@ def test_an_older_roster_brings_nobody_back(
         shutil.copy(tmp_path / "old" / file, folder(team) / file)
         os.utime(folder(team) / file)
     assert watch.news() is None
-    assert "an old roster is not taken" in caplog.text
+    assert "an old roster is rejected" in caplog.text
 
 
 def test_another_team_s_roster_is_not_taken(

@@ -61,7 +61,7 @@ def test_the_example_is_a_config_that_stands(config, tmp_path):
     assert "swarmtrack config check example.toml" in out
     assert config("check", "example.toml")[0] == 0
     code, _, err = config("new", "--example")
-    assert (code, "example.toml: is there already" in err) == (2, True)
+    assert (code, "example.toml: already exists" in err) == (2, True)
     code, _, err = config("new", "--example", "--id", "3", "--force")
     assert (code, "--id: given with --example" in err) == (2, True)
 
@@ -132,7 +132,7 @@ def test_a_door_that_is_open_to_others_than_the_autopilot_is_warned_of(config, t
     written = drone(tmp_path, 1, 1, f'[autopilot]\nlink = "{link}"\n')
     code, out, _ = config("check", written)
     assert code == 0
-    assert (f"warning: {link} takes MAVLink from anybody who reaches it" in out) == warned
+    assert (f"warning: {link} accepts MAVLink from any host that reaches it" in out) == warned
 
 
 def test_a_guessed_lens_has_the_angle_that_was_told_and_says_that_it_is_a_guess(config, tmp_path):
@@ -159,7 +159,7 @@ def test_a_calibration_lies_beside_the_config_that_names_it(config, tmp_path):
     (tmp_path / "a" / "b" / "cam.yaml").write_bytes(CALIBRATION.read_bytes())
     code, _, err = config("new", "--id", 3, "--calibration", "cam.yaml", "--out", "a/b")
     assert code == 2
-    assert "a/b/cam.yaml: is there already and another one" in err
+    assert "a/b/cam.yaml: already exists and another one" in err
 
 
 def test_a_second_drone_joins_the_team_that_is_there(config, tmp_path):
@@ -190,13 +190,13 @@ def test_nothing_is_overwritten_unless_told(config, tmp_path):
     before = (tmp_path / "drone-1.toml").read_text()
     code, _, err = config("new", "--id", 1, "--autopilot", "none")
     assert code == 2
-    assert "drone-1.toml: is there already, expected another --id, --out or --force" in err
+    assert "drone-1.toml: already exists, expected another --id, --out or --force" in err
     code, _, err = config("new", "--id", 2, "--team", "blue")
     assert code == 2
     assert "--team: blue, expected swarm as in team.toml" in err
     code, _, err = config("new", "--id", 2, "--peer", "1=10.0.0.1")
     assert code == 2
-    assert "--peer: team.toml is there already" in err
+    assert "--peer: team.toml already exists" in err
     assert (tmp_path / "drone-1.toml").read_text() == before
     assert config("new", "--id", 1, "--team", "blue", "--autopilot", "none", "--force")[0] == 0
     assert load_config(tmp_path / "drone-1.toml").network.team == "blue"
@@ -343,7 +343,7 @@ def drone(tmp_path, number, drone_id, extra="", start="position_m = [0.0, 0.0, 0
         (
             {},
             {"extra": 'network.team = "red"'},
-            '5: network.team: "red", expected what drone 1 says: "swarm"',
+            '5: network.team: "red", expected "swarm" as in drone 1',
         ),
         (
             {},
@@ -359,7 +359,7 @@ def drone(tmp_path, number, drone_id, extra="", start="position_m = [0.0, 0.0, 0
         (
             {"extra": 'network.topology = "routers"\nnetwork.routers = ["127.0.0.1"]'},
             {},
-            '1: network.topology: "mesh", expected what drone 1 says: "routers"',
+            '1: network.topology: "mesh", expected "routers" as in drone 1',
         ),
         (
             {"extra": "team.origin = { lat_deg = 1.0, lon_deg = 2.0, alt_m = 3.0 }"},

@@ -32,7 +32,7 @@ def pair(folder: Path, **expected: float) -> tuple[str, str]:
 
 def is_judged(said: str) -> bool:
     """Whether every drone was heard; where the machine is busy, a flight may be over before its agents speak."""
-    unheard = ("nothing to judge", "no tracks were ever heard", "never announced")
+    unheard = ("nothing to judge", "no tracks were received", "never announced")
     return not any(words in said.rpartition("FAILED")[2] for words in unheard)
 
 

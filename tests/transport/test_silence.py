@@ -21,12 +21,12 @@ def test_who_says_nothing_is_asked_and_after_a_lease_told_of_once_and_when_it_is
     assert silence.to_ask([2, 3], 1.6) == [2]
     assert silence.news([2, 3], 2.0) == []
     assert silence.news([2, 3], 2.1) == [
-        "network: drone 2 is linked and not heard: nothing reliable for 2.1 s"
+        "network: drone 2 is linked but silent: no reliable message for 2.1 s"
     ]
     assert list(silence.silent([2, 3], 2.1)) == [2]
     assert silence.news([2, 3], 3.0) == []
     silence.heard(2, 3.2)
-    assert silence.news([2, 3], 3.3) == ["network: drone 2 is heard again"]
+    assert silence.news([2, 3], 3.3) == ["network: drone 2 is received again"]
 
 
 def test_who_is_gone_is_not_silent_and_begins_anew_when_it_comes_back() -> None:

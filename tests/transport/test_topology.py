@@ -316,7 +316,7 @@ async def test_without_keys_a_router_relays_on_loopback() -> None:
 
 
 async def test_a_router_relays_nobody_any_more_who_left_the_roster(tmp_path: Path) -> None:
-    """It looks at its folder, and begins anew. The drones of this test keep the roster that they began with."""
+    """It looks at its folder, and starts again. The drones of this test keep the roster that they began with."""
     team = Team(tmp_path / "ca", "1", "2", "3", "router-a", name="red")
     [address] = free_addresses(1)
     path = team_file(tmp_path, team, f'topology = "routers"\nrouters = ["{address}"]')
@@ -344,7 +344,7 @@ async def test_a_router_relays_nobody_any_more_who_left_the_roster(tmp_path: Pat
         code, said, complaints = await ended(router)
         assert code == 0
         assert said.count("relaying for team red") == 2
-        assert "roster number 2: begins anew" in complaints
+        assert "roster number 2: starts again" in complaints
     finally:
         router.kill()
         await ended(router)

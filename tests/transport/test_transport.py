@@ -562,8 +562,8 @@ async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stan
 
     await eventually(is_heard)
     said = [record.getMessage() for record in caplog.records]
-    assert sum("drone 2 is linked and not heard" in line for line in said) >= 1
-    assert said.count("network: drone 2 is still not heard, though linked: links are made again") == 1
+    assert sum("drone 2 is linked but silent" in line for line in said) >= 1
+    assert said.count("network: drone 2 is still silent, though linked: links are renewed") == 1
     for agent in agents:
         await agent.leave()
 

@@ -376,7 +376,7 @@ class GuidedPilot:
         if mode is FlightMode.TAKE_OFF:
             return self._take_off(math.nan, t)
         if mode is FlightMode.BY_HAND and self.phase in AIRBORNE_PHASES:
-            return self._refuse("Mode change failed: nobody holds the sticks")
+            return self._refuse("Mode change failed: no manual control")
         if mode is not FlightMode.BY_HAND and not self._located(t + self._epoch):
             return self._refuse(f"Mode change to {self._firmware.modes[mode].name} failed: requires position")
         if mode is FlightMode.GUIDED and t - self._last_set_point > self._firmware.stream_s:

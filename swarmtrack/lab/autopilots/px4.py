@@ -20,7 +20,7 @@ from swarmtrack.mavlink_dialect import CURRENT_MODE
 
 LOOKS_EVERY_US = 1000  # main loop of a fast link
 EARLY = 0.3  # of the main loop: as much too early is on time
-LATE_INTERVALS = 1.5  # intervals: who is later begins anew, who is not keeps to the grid
+LATE_INTERVALS = 1.5  # intervals: who is later starts again, who is not keeps to the grid
 PX4_RATE_PARAMETER = "IMU_INTEG_RATE"
 LOCKSTEP_HZ = 250  # IMU_INTEG_RATE in PX4's own simulators, and how often time moves there
 # Hz, of messages that come unasked, per port: the companion's, a ground station's, and that for the truth.

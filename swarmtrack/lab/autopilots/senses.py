@@ -75,7 +75,7 @@ class Senses(Protocol):
         ...
 
     def rebooted(self, t: float) -> None:
-        """The autopilot that uses them begins anew at t."""
+        """The autopilot that uses them starts again at t."""
         ...
 
 

@@ -15,7 +15,7 @@ starts that second again, and so do a new life of the observer's process and, fo
   that has drifted off is no wrong name: recall and false tracks tell of it). "Foreign" is a name only `GRACE` after
   the observer had the drone's announcement: before, "none that I know of" is all it can say. A stranger that is
   tracked and not called by a team's ID is correct; one that is not tracked is not counted.
-* proved: of the right names of teammates, the share that motion alone proves as well.
+* proved: of the correct names of teammates, the share that motion alone proves as well.
 * wrong, at most: the highest probability that was stated with a wrong name, and with a teammate's name on a track that
   is nobody while that teammate is not even ahead. NaN where no name was wrong.
 * agreement: of the (instant, drone) about which two observers or more state a name, those where all names are one.

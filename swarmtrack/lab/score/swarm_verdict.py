@@ -32,7 +32,7 @@ class Limits:
     correct: float = 0.97
     """At least."""
     proved: float = 0.0
-    """At least, of right names, by motion: 0 where nobody tells how it moves."""
+    """At least, of correct names, by motion: 0 where nobody tells how it moves."""
     wrong: float = 0.001
     """At most."""
     agreement: float = 0.99
@@ -155,7 +155,7 @@ class SwarmReport:
 
     @property
     def shortfalls_of_timing(self) -> list[str]:
-        """What a machine without time spoils: right names are fewer where tracks come late, and who gets no time at
+        """What a machine without time spoils: correct names are fewer where tracks come late, and who gets no time at
         all says nothing."""
         score, limits, short = self.score, self.limits, self._unheard()
         if not score.samples:
@@ -168,9 +168,13 @@ class SwarmReport:
         if limits.proved > 0.0 and not score.proved >= limits.proved:
             short.append(f"identity.proved: {score.proved:.4f}, expected {limits.proved:g} at least")
         if not self.all_known_s <= limits.all_known_s:
-            took = "not at all" if math.isnan(self.all_known_s) else f"after {self.all_known_s:.1f} s"
+            took = (
+                "never complete"
+                if math.isnan(self.all_known_s)
+                else f"complete after {self.all_known_s:.1f} s"
+            )
             short.append(
-                f"announcements: known by all {took}, expected {limits.all_known_s:g} s after the last start at most"
+                f"announcements: {took}, expected {limits.all_known_s:g} s after the last start at most"
             )
         late = {a.drone_id: a.first_tracks_s - a.start_s for a in self._heard}
         tracks = {a.drone_id: a.track_rate_hz for a in self._heard}
@@ -218,10 +222,10 @@ class SwarmReport:
         short = []
         unheard = [agent.drone_id for agent in self.agents if math.isnan(agent.first_tracks_s)]
         if unheard:
-            short.append(f"{_drones(unheard)}: no tracks were ever heard")
+            short.append(f"{_drones(unheard)}: no tracks were received")
         silent = [agent.drone_id for agent in self._heard if agent.announcement_bytes is None]
         if silent:
-            short.append(f"{_drones(silent)}: never announced")
+            short.append(f"{_drones(silent)}: never announced itself")
         return short
 
     def _too_much_said(self) -> list[str]:

@@ -79,7 +79,7 @@ def write_configs(
     if scenario.share_hz is not None:
         shared += ['share = "velocity"', f"share_hz = {scenario.share_hz:g}"]
     if not scenario.announces:
-        shared.append("announce = false                    # nothing is told, and nothing asked")
+        shared.append("announce = false                    # nothing is sent, nothing requested")
     spans = {scenario.world.airframe(drone_id).span for drone_id in scenario.members}
     if len(spans) == 1:
         shared.append(f"airframe_span_m = {spans.pop():g}")

@@ -507,7 +507,7 @@ class _SwarmFlight:
         await self._watch.judge_the_rest()
         if self._watch.unjudged:
             self._spectator.note(
-                f"{self._watch.unjudged} views were not judged: nobody told the truth at their times"
+                f"{self._watch.unjudged} views were not judged: the truth at their times is missing"
             )
 
     def _spent(self) -> Spent:

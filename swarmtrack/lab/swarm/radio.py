@@ -102,7 +102,7 @@ class RadioEmulator:
         died = self._switch is not None and self._switch.returncode is not None
         await self._close()
         if died and error is None:
-            raise RadioError("radio: its switch ended by itself, so nobody was heard any more; see above")
+            raise RadioError("radio: its switch ended by itself, so no message arrived any more; see above")
 
     # --- where things are ---------------------------------------------------------------
 
@@ -344,7 +344,7 @@ def _open_tap(name: str) -> FileIO:
     except OSError as error:
         raise RadioError(
             f"radio: /dev/net/tun: {error.strerror}; `modprobe tun`, give a container --device /dev/net/tun, "
-            f"and whoever is not root read and write access to it"
+            f"and users other than root read and write access to it"
         ) from None
     try:
         fcntl.ioctl(tap, TUNSETIFF, struct.pack("16sH22x", name.encode(), IFF_TAP | IFF_NO_PI))
@@ -371,4 +371,4 @@ def _ip(commands: Sequence[str], *, to_the_end: bool = False) -> None:
         reasons = finished.stderr.strip().splitlines()
         line = reasons[-1].rpartition(":")[2] if reasons else ""
         failed = commands[int(line) - 1] if line.isdecimal() else commands[0]
-        raise RadioError(f"radio: `ip {failed}`: {reasons[0] if reasons else 'failed without a word'}")
+        raise RadioError(f"radio: `ip {failed}`: {reasons[0] if reasons else 'failed without a message'}")

@@ -121,4 +121,4 @@ def check_empty(folder: Path) -> None:
     if folder.is_dir() and any(folder.rglob("*.mcap*")):
         raise RecordingError(f"--record {folder}: holds recordings already, expected a new or empty folder")
     if folder.exists() and not folder.is_dir():
-        raise RecordingError(f"--record {folder}: is no folder, expected a new or empty one")
+        raise RecordingError(f"--record {folder}: is not a folder, expected a new or empty one")

@@ -109,7 +109,7 @@ class NoTable:
 def flight_table(watch: Watch, title: str) -> Table:
     table = _table(title)
     table.add_column("drone", justify="right")
-    table.add_column("sees whom as whom")
+    table.add_column("in view, as named")
     for heading in ("error px", "tracks Hz", "IMU Hz", "camera Hz", "CPU %", "RSS MB"):
         table.add_column(heading, justify="right")
     for drone_id, agent in watch.agents.items():
@@ -135,7 +135,7 @@ def sightings(seen: Sequence[JudgedTrack], team: Collection[int]) -> Text:
     text = Text()
     for one in sorted(seen, key=lambda s: (s.drone_id is None, s.drone_id or 0)):
         text.append("  " if text else "").append_text(_sighting(one, team))
-    return text or Text("nobody", style="dim")
+    return text or Text("no drone", style="dim")
 
 
 def _sighting(seen: JudgedTrack, team: Collection[int]) -> Text:
@@ -145,13 +145,13 @@ def _sighting(seen: JudgedTrack, team: Collection[int]) -> Text:
     if said == truth:
         return Text(str(said), style="green")
     if truth is None:
-        return Text(f"nobody as {_who(said)}", style="yellow")
+        return Text(f"no drone as {_who(said)}", style="yellow")
     right = said == FOREIGN and truth not in team
     return Text(f"{truth} as {_who(said)}", style="green" if right else "bold red")
 
 
 def _who(identity: Identity) -> str:
-    return "nobody" if identity is None else str(identity)
+    return "no drone" if identity is None else str(identity)
 
 
 def _error(seen: Sequence[JudgedTrack]) -> str:
@@ -172,7 +172,9 @@ def _health_cells(health: HealthMessage | None) -> list[str]:
 
 def team_line(watch: Watch) -> Text:
     if watch.t < 0.0:
-        return Text(f"hovering until everybody is there; the flight begins in {-watch.t:.0f} s", style="dim")
+        return Text(
+            f"hovering until all drones are there; the flight begins in {-watch.t:.0f} s", style="dim"
+        )
     score = watch.scorer.score()
     text = Text(f"{watch.t:4.0f} s  {_identity_figures(score)}")
     judged = [agent.judged_t for agent in watch.agents.values() if agent.boot is not None]
@@ -193,7 +195,7 @@ def describe_fault(fault: ScenarioFault) -> str:
 def _identity_figures(score: SwarmScore) -> str:
     if not score.samples:
         return "nothing to judge yet"
-    names = f"names {score.correct:.0%} right, {score.wrong:.0%} wrong, {score.unknown:.0%} unknown"
+    names = f"names {score.correct:.0%} correct, {score.wrong:.0%} wrong, {score.unknown:.0%} unknown"
     return (
         names
         if math.isnan(score.agreement) or score.agreement == 1.0
@@ -207,8 +209,8 @@ def _identity_figures(score: SwarmScore) -> str:
 def agents_table(report: SwarmReport) -> Table:
     table = _table("agents")
     table.caption = (
-        "named: until it named everyone it saw; delay: from a frame's exposure to its tracks on the network, "
-        "median and 95th percentile"
+        "named: time until all teammates in view were named; delay: from a frame's exposure to its tracks on the "
+        "network, median and 95th percentile"
     )
     table.caption_justify = "left"
     for heading in (
@@ -247,16 +249,16 @@ def team_rows(report: SwarmReport) -> list[tuple[str, str, str]]:
     score, limits = report.score, report.limits
     slowest = max(score.time_to_identify_s.values(), default=math.nan)
     worst = max(score.rmse_px.values(), default=math.nan)
-    rows = [("right names", share(score.correct), f"≥ {limits.correct:g}")]
+    rows = [("correct names", share(score.correct), f"≥ {limits.correct:g}")]
     if score.proved > 0.0 or limits.proved > 0.0:
-        rows.append(("of these proved by motion", share(score.proved), f"≥ {limits.proved:g}"))
+        rows.append(("of these confirmed by motion", share(score.proved), f"≥ {limits.proved:g}"))
     rows += [
         ("wrong names", share(score.wrong), f"≤ {limits.wrong:g}"),
-        ("highest probability of a wrong name", number(score.wrong_max_probability, 3), ""),
+        ("highest confidence of a wrong name", number(score.wrong_max_probability, 3), ""),
         ("unknown", share(score.unknown), ""),
         ("agreement", share(score.agreement), f"≥ {limits.agreement:g}"),
-        ("slowest to identify, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:g}"),
-        ("all announcements known, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:g}"),
+        ("slowest identification, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:g}"),
+        ("all announcements received, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:g}"),
         ("worst RMSE, px", number(worst, 2), f"≤ {limits.rmse_px:g}"),
         ("recall", share(score.recall), ""),
         ("false tracks per second", number(score.false_tracks_per_s, 3), f"≤ {limits.false_tracks_per_s:g}"),
@@ -266,8 +268,8 @@ def team_rows(report: SwarmReport) -> list[tuple[str, str, str]]:
         places = report.relative
         ranges = f"{places.range_p50:.1%}, {places.range_p95:.1%}"
         rows += [
-            ("error of ranges, half and 95 % below", ranges, ""),
-            ("NEES / 6 of places, median", number(places.nees6_median, 2), ""),
+            ("range error, median and 95th percentile", ranges, ""),
+            ("NEES / 6 of relative states, median", number(places.nees6_median, 2), ""),
         ]
     if report.formation is not None:
         rows += _formation_rows(report.formation, limits)
@@ -279,14 +281,14 @@ def _formation_rows(formation: FormationScore, limits: Limits) -> list[tuple[str
     lost = f"{formation.lost} of {formation.followers}"
     rows = [
         (
-            "off their slots, half and 95 % below, m",
+            "slot error, median and 95th percentile, m",
             errors,
             f"≤ {limits.slot_p50_m:g}, {limits.slot_p95_m:g}",
         ),
-        ("off their slots at the end, m", number(formation.end_p95_m, 2), f"≤ {limits.slot_end_p95_m:g}"),
+        ("slot error at the end, m", number(formation.end_p95_m, 2), f"≤ {limits.slot_end_p95_m:g}"),
         ("smallest separation, m", number(formation.min_separation_m, 2), f"≥ {limits.separation_m:g}"),
         ("followers lost", lost, f"≤ {limits.lost}"),
-        ("times that a follower held", str(formation.holds), ""),
+        ("holds of followers", str(formation.holds), ""),
     ]
     if formation.gone is not None:
         gone = formation.gone
@@ -296,7 +298,7 @@ def _formation_rows(formation: FormationScore, limits: Limits) -> list[tuple[str
                 number(gone.speeds[-1], 2),
                 f"≤ {limits.leader_gone_m_s:g}",
             ),
-            ("leader gone: flown on, m", number(gone.flown_on_m, 1), f"≤ {limits.leader_gone_m:g}"),
+            ("leader gone: distance flown on, m", number(gone.flown_on_m, 1), f"≤ {limits.leader_gone_m:g}"),
         ]
     return rows
 

@@ -73,7 +73,7 @@ async def follow_truth(url: str, drones: Mapping[int, FollowedDrone], on_said: C
         try:
             async for record in _records(url):
                 if lost:
-                    on_said("the simulator tells the truth again")
+                    on_said("the simulator sends the truth again")
                     lost = False
                 if "said" in record:
                     on_said(record["said"])
@@ -89,7 +89,7 @@ async def follow_truth(url: str, drones: Mapping[int, FollowedDrone], on_said: C
         if not lost:
             lost = True
             on_said(
-                f"the simulator's truth at {url} is lost: {reason}; trying again, what is said meanwhile is not judged"
+                f"the simulator's truth at {url} is lost: {reason}; trying again, messages meanwhile are not judged"
             )
 
 

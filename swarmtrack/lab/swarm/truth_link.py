@@ -192,7 +192,7 @@ class TruthLink:
             return TruthFault.SILENT, self._sentence(self._silence())
         if self.rate_hz < SLOWEST_TRUTH_HZ:
             return TruthFault.SILENT, self._sentence(
-                f"tells {self.rate_hz:.0f} times a second, expected {ASKED_TRUTH_HZ:.0f}, "
+                f"sends {self.rate_hz:.0f} times a second, expected {ASKED_TRUTH_HZ:.0f}, "
                 f"{SLOWEST_TRUTH_HZ:.0f} at least: is the simulator too slow, or another program asking for less?"
             )
         assert self._newest is not None
@@ -215,7 +215,7 @@ class TruthLink:
         """In words, from the connection up."""
         if self._arrivals:
             return (
-                f"told nothing for {self.age_s:.1f} s: is its simulator paused, slow or gone? No frame is exposed "
+                f"sent nothing for {self.age_s:.1f} s: is its simulator paused, slow or gone? No frame is exposed "
                 "meanwhile"
             )
         remark = self._down or self._link.remark

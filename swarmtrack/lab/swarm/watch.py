@@ -467,7 +467,7 @@ def _places(message: TracksMessage) -> tuple[StatedPlace, ...]:
 
 
 def _announcements_sent(health: list[tuple[float, HealthMessage]]) -> int:
-    """Over all lives of the agent: the counter begins anew with each."""
+    """Over all lives of the agent: the counter starts again with each."""
     by_boot = {
         message.boot: int(link.counters["announcements_sent"])
         for _, message in health

@@ -115,16 +115,16 @@ class WorldAgentsSection(Section):
     tracks_hz: Annotated[Positive, Field(le=1000.0)] = 100.0
     share_hz: ShareRate | None = Field(
         default=None,
-        description="how often they tell how they move; in formation 5 Hz unless told, else never",
+        description="rate of motion reports; by default 5 Hz in formation, else none",
     )
 
 
 class WorldFormationSection(TeamFormation):
     """[formation]: as in the agents' configs. Their pilots engage them in the air, whoever those are."""
 
-    enabled: Switch = Field(default=True, description="false: the agents of followers fly nobody")
+    enabled: Switch = Field(default=True, description="false: the agents of followers only watch")
     judged_from_s: Positive = Field(
-        default=30.0, description="from when on slots are judged, s of the flight"
+        default=30.0, description="beginning of the judgement of slots, s of the flight"
     )
 
     def team_slots(self) -> TeamSlots | None:
@@ -160,9 +160,9 @@ class OutsideDroneSection(Section):
         description="another MAVLink link to the same simulator, for the truth: tcp:HOST:PORT, udpin: or udpout:"
     )
     system_id: Annotated[int, Strict(), Field(ge=1, le=255)] | None = Field(
-        default=None, description="its autopilot's system ID; without it, whichever is heard on each link"
+        default=None, description="its autopilot's system ID; by default the one on each link"
     )
-    airframe: AirframeSection | None = Field(default=None, description="{ span_m } of what is drawn")
+    airframe: AirframeSection | None = Field(default=None, description="{ span_m } of the rendered drone")
     start: Start | None = Field(
         default=None, description='drone.start of the agent\'s config; { from = "gps" } by default'
     )
@@ -223,7 +223,7 @@ def check_alone(path: Path, *, scenario: str | None, drones: int | None, detail:
     for name, value in (("--scenario", scenario), ("--drones", drones), ("--detail", less)):
         if value is not None:
             raise SourceError(
-                f"{name} {value} with --world {path}, expected one of them: the file says who flies, and how"
+                f"{name} {value} with --world {path}, expected one of them: the file sets the drones and their flight"
             )
 
 

@@ -81,7 +81,7 @@ class World:
         """The drone, where it is one of ours to fly."""
         drone = self.drones[drone_id]
         if not isinstance(drone, OwnDrone):
-            raise TypeError(f"drone {drone_id}: is flown by others, who alone know how it moves")
+            raise TypeError(f"drone {drone_id}: is flown by another simulator, which alone has its motion")
         return drone
 
     def body_rate(self, drone_id: int, t: float) -> Array:

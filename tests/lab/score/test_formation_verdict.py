@@ -68,6 +68,6 @@ def test_the_table_fits_into_eighty_columns():
     console.print(team_table(flown(gone=GONE, error_p95_m=23.36)))
     lines = console.export_text().splitlines()
     assert max(map(len, lines)) <= 80
-    for words in ("followers lost", "0 of 2", "smallest separation, m", "leader gone: flown on, m"):
+    for words in ("followers lost", "0 of 2", "smallest separation, m", "leader gone: distance flown on, m"):
         assert any(words in line for line in lines), words
     assert not any("…" in line for line in lines)

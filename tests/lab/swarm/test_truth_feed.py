@@ -61,10 +61,10 @@ async def test_a_connection_that_is_lost_is_said_once_and_made_again():
             await eventually(lambda: drone.newest == 7.0)
     lost, back = heard
     assert lost == (
-        f"the simulator's truth at {server.url} is lost: it closed the connection; trying again, what is said "
-        "meanwhile is not judged"
+        f"the simulator's truth at {server.url} is lost: it closed the connection; trying again, messages meanwhile "
+        "are not judged"
     )
-    assert back == "the simulator tells the truth again"
+    assert back == "the simulator sends the truth again"
 
 
 async def test_a_connection_that_breaks_off_is_said():

@@ -60,7 +60,7 @@ async def test_a_simulator_that_tells_is_followed_to_a_centimetre():
 
 async def test_nobody_listens():
     async with following(f"tcp:127.0.0.1:{free_port(socket.SOCK_STREAM)}") as (link, _):
-        await eventually(trouble(link, "drone 7: truth link tcp:127.0.0.1:", "nobody listens at"))
+        await eventually(trouble(link, "drone 7: truth link tcp:127.0.0.1:", "nothing listens at"))
         fault, _ = link.trouble()
         assert fault is TruthFault.SILENT
         assert fault not in FATAL
@@ -68,7 +68,7 @@ async def test_nobody_listens():
 
 async def test_on_udp_nobody_listens_either():
     async with following(f"udpout:127.0.0.1:{free_port()}") as (link, _):
-        await eventually(trouble(link, "is silent: nobody listens there; is SITL running, with this port?"))
+        await eventually(trouble(link, "is silent: nothing listens there; is SITL running, with this port?"))
 
 
 async def test_a_port_that_is_open_and_says_nothing():
@@ -132,7 +132,7 @@ async def test_a_simulator_that_is_paused_is_said_and_followed_again():
     async with telling_sitl(autopilot()) as sitl, following(sitl.address) as (link, _):
         await eventually(lambda: link.trouble() is None, "truth flows")
         sitl.paused = True
-        await eventually(trouble(link, "told nothing for", "is its simulator paused, slow or gone?"))
+        await eventually(trouble(link, "sent nothing for", "is its simulator paused, slow or gone?"))
         sitl.paused = False
         await eventually(lambda: link.trouble() is None, "truth flows again")
 
