@@ -332,8 +332,8 @@ class AutopilotSection(Section):
         for word in tell if isinstance(tell, list | tuple) else ():
             if word == "follow_target":
                 raise ValueError(
-                    'found "follow_target", expected status, camera_tracking or adsb: a vehicle flies after what that '
-                    "message says, and one camera measures no range (docs/telling.md)"
+                    'found "follow_target", expected status, camera_tracking or adsb: a vehicle follows that '
+                    "message, and one camera measures no range (docs/telling.md)"
                 )
         return tell
 

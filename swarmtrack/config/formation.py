@@ -75,7 +75,7 @@ class FormationLimits(Section):
 
 
 class TeamFormation(Section):
-    """[formation]: who leads, and everybody's slot (docs/formation.md). The same for all of a team, but for `enabled`.
+    """[formation]: the leader and the slots (docs/formation.md). The same for all of a team, but for `enabled`.
 
     Without `leader` there is no formation.
     """

@@ -48,7 +48,7 @@ def check(path: Path) -> None:
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
         heading = config.autopilot.heading_sigma_deg
         print(f"heading    ±{heading.ground:g}° on the ground, ±{heading.flight:g}° in flight")
-        print(f"sending     {', '.join(config.autopilot.tell) or 'only a heartbeat'}")
+        print(f"sending    {', '.join(config.autopilot.tell) or 'only a heartbeat'}")
     detector = (
         "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
     )

@@ -14,7 +14,7 @@ BY_TAPE = """\
 # north. position_sigma_m: 0.1 by a tape, 0.3 on a marked pad, 1 paced out. With from = "local" or "gps" instead, the
 # agent may restart in the air."""
 BY_AUTOPILOT = """\
-# The autopilot knows where the drone is, also after a restart in the air. position_sigma_m is how well its local origin
+# The pose comes from the autopilot, also after a restart in the air. position_sigma_m is how well its local origin
 # is measured; GPS reports its own accuracy."""
 MOUNT = """
 # Where the camera sits: zero angles look along the nose, upright; pitch 20 looks 20 degrees up, yaw 90 to the right.

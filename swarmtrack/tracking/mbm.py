@@ -79,7 +79,7 @@ class MbmParameters(CommonParameters):
     """Another hypothesis is published only once it is this many times as likely as the published one."""
     doubt_s: float = 10.0
     """Time constant with which hypotheses other than the published one fade, s. After two drones have met and parted,
-    no detection tells any longer which is which. Without fading they would stay disputed for the rest of the
+    no later detection separates them. Without fading they would stay disputed for the rest of the
     flight."""
     interacting: bool = True
     """Use two motion models. If false: constant velocity with `acceleration_psd`, as in the other trackers."""

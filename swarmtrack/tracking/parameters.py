@@ -40,7 +40,7 @@ class CommonParameters:
     learn_noise: str = "upwards"
     """`both`: learn from the innovations how much detections scatter per class of box sizes, and how calmly targets
     fly (`tracking/noise.py`). `upwards`: only where detections scatter more than they should, up to ten times R.
-    `no`: it is as told."""
+    `no`: it is as configured."""
     gate_probability: float = 0.999
     """Probability that a true detection falls inside its target's gate."""
     birth_per_scan: float = 0.02
@@ -59,7 +59,7 @@ class CommonParameters:
     score_weight: float = 1.0
     """How much a detection's score s counts: its clutter intensity is scaled by ((1 − s) / s) to this power."""
     size_sigma: float = 0.2
-    """Relative noise of a box's sides from scan to scan. Size tells two drones in the same direction apart."""
+    """Relative noise of a box's sides from scan to scan. Size separates two drones in the same direction."""
     occlusion: bool = True
     """Expect fewer detections of targets that overlap."""
     resolution_px: float = 0.0

@@ -4,7 +4,7 @@ A teammate is judged by what comes from it reliably: its reports, once a second,
 of life of a link say little. Where one of the two links of a pair breaks, Zenoh loses what was on its way there: a
 drone's token, or what it listens to, is then never said again, and the two stay half deaf to each other behind a link
 that stands. So who says nothing for longer than a report takes is asked, which its transport answers, whatever its
-autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are made again.
+autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are renewed.
 
 Zenoh closes no link to one peer only, so all are, and not again within `REOPEN_REST_S`. Whoever is not heard afterwards
 either may have its own reasons: for its sake it is done after four times as long, each time. Pure state; times by any
@@ -56,7 +56,7 @@ class Silence:
         return [d for d, s in self._since(present, now).items() if s > ASK_AFTER_SILENCE_S]
 
     def news(self, present: Iterable[int], now: float) -> list[str]:
-        """A sentence for each who is no longer heard, or is heard again. Who is seen for the first time has been heard
+        """A sentence for each who is no longer heard, or is received again. Who is seen for the first time has been heard
         just now."""
         here = set(present)
         for gone in self._heard.keys() - here:
@@ -69,10 +69,10 @@ class Silence:
         self._told = set(silent)
         return [
             *(
-                f"network: drone {d} is linked and not heard: nothing reliable for {silent[d]:.1f} s"
+                f"network: drone {d} is linked but silent: no reliable message for {silent[d]:.1f} s"
                 for d in sorted(new_ones)
             ),
-            *(f"network: drone {d} is heard again" for d in sorted(back)),
+            *(f"network: drone {d} is received again" for d in sorted(back)),
         ]
 
     def to_reopen(self, present: Iterable[int], now: float) -> list[int]:

@@ -633,7 +633,7 @@ async def test_a_port_that_everybody_reaches_is_warned_of_unless_a_key_keeps_the
         caplog.clear()
         async with RealFlight(f"udpin:{host}:{free_port()}", signing_key=signing_key) as flight:
             await flight.until(lambda: "0 bytes" in flight.unit.status().text)
-        said = [line for line in caplog.messages if "anybody who reaches" in line]
+        said = [line for line in caplog.messages if "any host that reaches" in line]
         assert len(said) == (warned and signing_key is None)
 
 

@@ -193,4 +193,4 @@ def test_an_autopilot_that_is_not_there_is_a_failure_with_a_remedy(tmp_path, cap
     config = tmp_path / "drone.toml"
     config.write_text(CONFIG.format(id=2, link=f"udpin:127.0.0.1:{free_port()}"))
     assert main(["config", "check", str(config), "--autopilot"]) == 1
-    assert "no autopilot to be asked" in capsys.readouterr().out
+    assert "no autopilot answers" in capsys.readouterr().out

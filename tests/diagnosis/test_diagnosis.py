@@ -392,7 +392,7 @@ def test_a_drone_is_ready_where_nothing_fails():
 def test_a_start_that_nobody_measured_is_said_and_keeps_nobody_on_the_ground():
     told = readiness(unmeasured_m=1.0)
     assert told.ready
-    assert told.reasons == ("drone.start.position_sigma_m is missing: ± 1 m",)
+    assert told.reasons == ("drone.start.position_sigma_m is missing: ± 1 m is assumed for the start",)
     assert not readiness(network=CUT_OFF, unmeasured_m=1.0).ready
 
 
@@ -447,7 +447,7 @@ def test_an_agent_says_in_its_health_that_it_is_not_ready_and_why(tmp_path):
     assert "another agent uses this drone's ID (boots aaaaaaaa)" in health.readiness().reasons
     health.on_membership(PeerDeparted(1, "aaaaaaaa"))
     assert "another agent" not in " ".join(health.readiness().reasons)
-    assert "drone.start.position_sigma_m is not written" in health.readiness().reasons[-1]
+    assert "drone.start.position_sigma_m is missing" in health.readiness().reasons[-1]
 
 
 @pytest.mark.parametrize(
@@ -470,5 +470,5 @@ def test_how_well_the_pose_is_known_is_said(sigmas, words):
 def test_a_start_of_which_nobody_wrote_how_well_it_is_known_is_warned_of():
     _, finding = check_pose(PoseFacts(3.0, 1.5, unmeasured_m=1.0))
     assert finding.level is Level.WARNING
-    assert finding.found.startswith("drone.start.position_sigma_m is not written")
+    assert finding.found.startswith("drone.start.position_sigma_m is missing")
     assert "± 1 m" in finding.found

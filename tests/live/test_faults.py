@@ -384,9 +384,11 @@ async def test_while_two_speak_as_one_nobody_is_given_their_name(gather: Gather,
 
     cloned = time.monotonic()
     clone = await team.start(4, name=3)
-    told = [await agents[drone].until("two agents speak as drone 3", cloned) for drone in witnesses]
+    told = [await agents[drone].until("two agents use drone.id = 3", cloned) for drone in witnesses]
     if not secured:
-        told += [await agent.until("another agent speaks as drone 3", cloned) for agent in (agents[3], clone)]
+        told += [
+            await agent.until("another agent uses our drone.id = 3", cloned) for agent in (agents[3], clone)
+        ]
     report("a clone reported, after its start", max(told) - cloned)
     nameless = await team.until(
         lambda look: not look.calls_somebody(3), witnesses, max(told), "nobody is called drone 3"

@@ -191,7 +191,7 @@ def test_without_a_simulator_there_is_no_verdict(team):
     ("told", "expected"),
     [
         ({"hello": "world"}, "is not a swarmtrack simulator"),
-        ({"world": "sitl.toml", "seed": 1, "world_time_s": 3.0}, "draws drones that others fly"),
+        ({"world": "sitl.toml", "seed": 1, "world_time_s": 3.0}, "draws drones of another simulator"),
     ],
 )
 async def test_a_server_that_flies_no_scenario_is_said(team, told, expected):

@@ -260,7 +260,7 @@ def test_a_flight_says_how_to_listen_to_it_and_who_listens_elsewhere_is_told_of_
     assert json.loads(heard.stdout)["key"].startswith(f"swarmtrack/{team}/v1/identities/")
     deaf = echo("tracks/*", "--team", f"{team}-not", "--seconds", "4")
     assert f"nothing of team '{team}-not' yet; found drones of " in deaf.stderr
-    assert "Heard are drones of " in deaf.stderr.splitlines()[-1]
+    assert "Found drones of " in deaf.stderr.splitlines()[-1]
     assert team in deaf.stderr.replace(f"{team}-not", "")
     flight.send_signal(signal.SIGINT)
     finish(flight)

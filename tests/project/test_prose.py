@@ -1,8 +1,9 @@
-"""Pages read as a native engineer writes: without some turns that make a reader go back.
+"""Pages, help texts and messages read as a native engineer writes: without some turns that make a reader go back.
 
 Code, quoted output and addresses are left out. docs/glossary.md lists what is written instead.
 """
 
+import ast
 import re
 
 import pytest
@@ -11,7 +12,6 @@ from support.places import ROOT
 
 PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
 WAITS = {
-    "docs/config.md",
     "docs/decisions/0005-the-age-of-an-announcement.md",
     "docs/decisions/0007-keys.md",
     "docs/decisions/0008-who-is-who.md",
@@ -47,7 +47,6 @@ WAITS = {
     "docs/decisions/0042-one-headline.md",
     "docs/decisions/README.md",
     "docs/identity.md",
-    "docs/troubleshooting.md",
 }
 """Pages that still have such turns. Most of them change anyway when one posterior replaces the rules for names."""
 
@@ -73,6 +72,23 @@ REFUSED = {
 }
 
 
+PRINTED = [
+    *sorted((ROOT / "agents").glob("*.py")),
+    *(
+        file
+        for room in (
+            "autopilot", "calibration", "camera_sources", "cameras", "client", "config", "detection", "diagnosis",
+            "doctor", "formation", "lab/score", "lab/swarm", "monitor", "recording", "replay", "runtime", "security",
+            "setup", "training", "transport", "wire",
+        )
+        for file in sorted((ROOT / "swarmtrack" / room).rglob("*.py"))
+    ),
+]  # fmt: skip
+"""Modules whose strings with a space in them are taken for messages."""
+OF_ONE_BENCHMARK = re.compile(r"^=== swarmtrack bench .*?(?=^===|\Z)", re.MULTILINE | re.DOTALL)
+"""Its help, whose arguments are its own module's."""
+
+
 def prose(text):
     """The page's sentences, one string per paragraph, list item or row: without code, quoted output and addresses."""
     text = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.DOTALL | re.MULTILINE)
@@ -81,7 +97,8 @@ def prose(text):
     text = re.sub(r"^## Words that we do not use$.*?(?=^## )", "", text, flags=re.DOTALL | re.MULTILINE)
     text = re.sub(r"`[^`]*`", "`", text)
     text = re.sub(r"\]\([^)]*\)", "]", text)
-    text = re.sub(r"\[[\w/]+\.md\]", "[]", text)
+    text = re.sub(r"\bautopilot\.tell\b|\btell(?= = )", "", text)
+    text = re.sub(r"[\w/-]+\.md\b", "[]", text)
     parts = re.split(r"\n\s*\n|\n(?=\s*(?:[*-]|\d+\.|\||#)\s?)", text)
     return [" ".join(part.split()) for part in parts if part.strip()]
 
@@ -95,6 +112,25 @@ def refused(text):
     ]
 
 
+def messages(source):
+    """The strings of a module that hold a space, docstrings aside, with … for what is filled in."""
+    tree = ast.parse(source)
+    docstrings = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
+
+    def found(node):
+        if id(node) in docstrings:
+            return
+        if isinstance(node, ast.JoinedStr):
+            yield "".join(str(part.value) if isinstance(part, ast.Constant) else "…" for part in node.values)
+        elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+        else:
+            for child in ast.iter_child_nodes(node):
+                yield from found(child)
+
+    return [text for text in found(tree) if " " in text.strip()]
+
+
 def name(page):
     return str(page.relative_to(ROOT))
 
@@ -102,6 +138,17 @@ def name(page):
 @pytest.mark.parametrize("page", [page for page in PAGES if name(page) not in WAITS], ids=name)
 def test_a_page_is_free_of_them(page):
     assert refused(page.read_text(encoding="utf-8")) == []
+
+
+@pytest.mark.parametrize("module", PRINTED, ids=name)
+def test_what_programs_print_is_free_of_them(module):
+    found = [refused(text) for text in messages(module.read_text(encoding="utf-8"))]
+    assert [turns for turns in found if turns] == []
+
+
+def test_help_is_free_of_them():
+    text = (ROOT / "tests" / "golden" / "help.txt").read_text(encoding="utf-8")
+    assert refused(OF_ONE_BENCHMARK.sub("", text)) == []
 
 
 @pytest.mark.parametrize("page", sorted(WAITS))

@@ -87,7 +87,7 @@ def test_what_is_no_video_is_refused_with_a_sentence(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "x.mp4").write_bytes(np.zeros(1000, np.uint8).tobytes())
-    for name, words in (("x.mp4", "1000 bytes that are no video"), ("y.mp4", "not found")):
+    for name, words in (("x.mp4", "1000 bytes that are not a readable video"), ("y.mp4", "not found")):
         assert swarmtrack.main(["video", str(tmp_path / name), "--out", str(tmp_path / "out")]) == 2
         assert words in capsys.readouterr().err
     assert not (tmp_path / "out").exists()

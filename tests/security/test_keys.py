@@ -145,7 +145,7 @@ def test_whoever_is_revoked_is_in_no_roster_any_more(keys: Keys, tmp_path: Path)
     keys("issue", "1", "2", "3")
     code, said, _ = keys("revoke", "2")
     assert code == 0
-    assert "Without it they still hear drone-2" in said
+    assert "Without it they still accept drone-2" in said
     assert load_credentials(tmp_path / "ca" / "drone-1", "drone-1", CLOCK.utc()).roster.drones.keys() == {
         1,
         3,
@@ -284,7 +284,7 @@ def test_a_certificate_out_of_its_time_makes_the_clock_the_suspect(
 ) -> None:
     folder = ca / "drone-1"
     end = read_certificate(folder / "drone-1.pem").not_valid_after_utc.timestamp()
-    with pytest.raises(KeysError, match=r"is not valid before .* clock says 1970-01-01.* the clock is off"):
+    with pytest.raises(KeysError, match=r"is not valid before .* clock shows 1970-01-01.* the clock is off"):
         load_credentials(folder, "drone-1", 0.0)
     with pytest.raises(KeysError, match=r"drone-1\.pem: expired on .*--renew"):
         load_credentials(folder, "drone-1", end + 1.0)

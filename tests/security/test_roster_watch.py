@@ -57,7 +57,7 @@ def test_half_a_roster_is_not_taken_and_the_whole_one_is_later(
     assert watch.news() is None
     assert "is not what this team's CA signed" in caplog.text
     assert watch.news() is None
-    assert caplog.text.count("not taken") == 1  # said once
+    assert caplog.text.count("rejected") == 1  # said once
     (folder(team) / "roster.sig").write_bytes(new + b"\n")
     assert watch.news() is not None
 
@@ -91,4 +91,4 @@ def test_another_team_s_roster_is_not_taken(
     for file in ("roster.toml", "roster.sig"):
         shutil.copy(other.folder / "drone-1" / file, folder(team) / file)
     assert watch.news() is None
-    assert "not taken" in caplog.text
+    assert "rejected" in caplog.text

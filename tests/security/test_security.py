@@ -640,7 +640,7 @@ async def test_one_that_is_linked_and_does_not_answer_is_not_heard_and_costs_the
     """As a drone whose token was lost on its way, or a program that holds its keys and is no agent."""
     one, two = pair
     await field.intruder(field.team.credentials("3"))
-    await eventually(lambda: "not heard: drone 3" in one.transport.status().text)
+    await eventually(lambda: "silent: drone 3" in one.transport.status().text)
     assert one.counter("links_renewed") == 0, "said first"
     await eventually(lambda: one.counter("links_renewed") and two.counter("links_renewed"))
     await one.until(lambda told: len(announcements(told)) > 1)
@@ -658,4 +658,4 @@ async def test_one_that_has_nothing_to_announce_yet_and_reports_nothing_is_heard
     await one.until(lambda told: any(isinstance(event, PeerArrived) for event in told))
     await asyncio.sleep(5.0)  # two leases and more
     assert one.counter("links_renewed") == two.counter("links_renewed") == 0
-    assert "not heard" not in one.transport.status().text + two.transport.status().text
+    assert "silent: drone" not in one.transport.status().text + two.transport.status().text

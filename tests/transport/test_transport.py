@@ -550,7 +550,7 @@ async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stan
             keys.key(team, Kind.POSE, 2), zenoh.handlers.Callback(kept.append, indirect=False)
         )
     await eventually(lambda: listener.counter("silent") == 1)
-    assert "not heard: drone 2" in listener.transport.status().text
+    assert "silent: drone 2" in listener.transport.status().text
     await listener.until(lambda told: PeerDeparted(2, silent.boot) in told)
     await listener.until(lambda told: told.count(PeerArrived(2, silent.boot)) == 2)
     assert listener.counter("silent") == 0
