@@ -56,8 +56,7 @@ class Silence:
         return [d for d, s in self._since(present, now).items() if s > ASK_AFTER_SILENCE_S]
 
     def news(self, present: Iterable[int], now: float) -> list[str]:
-        """A sentence for each who is no longer heard, or is received again. Who is seen for the first time has been heard
-        just now."""
+        """A sentence for each teammate that fell silent or is received again. One that is new has just been received."""
         here = set(present)
         for gone in self._heard.keys() - here:
             del self._heard[gone]
