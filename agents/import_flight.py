@@ -173,9 +173,9 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s
             recorder.frame(exposed)
             # The gyro reaches the exposure before the detector asks it, as it does in flight and in a replay.
             flight.until(exposed.t + DETECTOR_S)
-            detections = parts.detector.look(parts.detector.plan(exposed, expectation))
+            detections = parts.detector.detect(parts.detector.plan(exposed, expectation))
             if detections is not None:
-                flight.tell(detections)
+                flight.deliver(detections)
             frames += 1
         flight.until(math.inf)
     finally:
@@ -210,13 +210,13 @@ class _Flight:
             said_t, said = self._next
             self._ask(said_t)
             self._clock.set(said_t)
-            self.tell(said)
+            self.deliver(said)
             self._next = next(self._said, None)
         if t < math.inf:
             self._ask(t)
             self._clock.set(t)
 
-    def tell(self, event: Input) -> None:
+    def deliver(self, event: Input) -> None:
         self._door.tell(event)
         self._door.events()
 

@@ -195,8 +195,8 @@ async def _heard(network: NetworkSettings, watch: Watch, clock: Clock) -> AsyncI
     await listener.open()
     try:
         async with asyncio.TaskGroup() as tasks:
-            tasks.create_task(watch.hear(listener.samples()), name="hear")
-            judging = tasks.create_task(watch.judge(), name="judge")
+            tasks.create_task(watch.listen(listener.samples()), name="hear")
+            judging = tasks.create_task(watch.evaluate(), name="judge")
             yield
             judging.cancel()
             await listener.close()  # which ends the hearing

@@ -82,7 +82,7 @@ async def _record(
     async def listen() -> None:
         nonlocal heard
         async for sample in listener.samples():
-            recorder.heard(sample, clock.now(), clock.utc())
+            recorder.record_sample(sample, clock.now(), clock.utc())
             heard += 1
 
     async def tell() -> None:

@@ -166,7 +166,7 @@ def run(args: argparse.Namespace) -> int:
     capacity = look_around(load, began, clock)
     detail = _detail(args, plan, whole, capacity)
     spectator = _spectator(whole, plan.detector, console)
-    spectator.keep(described(whole, plan.detector, capacity, detail))
+    spectator.print_line(described(whole, plan.detector, capacity, detail))
     stay = sys.stdout.isatty() if args.stay is None else args.stay
     landing = _Landing(console, args.json, stay=stay)
     try:

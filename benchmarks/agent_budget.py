@@ -99,7 +99,7 @@ def detector_lines(repeats: int) -> list[Figure]:
         detector.warm_up(width, height)
         image = rng.integers(90, 160, (height, width, 3), dtype=np.uint8)
         frame = Frame(0.0, 0.0, 0, image, StampKind.MEDIA)
-        duration = median_s(partial(detector.look, detector.plan(frame)), repeats)
+        duration = median_s(partial(detector.detect, detector.plan(frame)), repeats)
         lines.append(
             Figure(f"detector, default model, {width} × {height}, one thread", 1e3 * duration, "ms", budget)
         )

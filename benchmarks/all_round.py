@@ -61,7 +61,7 @@ class SeamWatch:
     nameless: dict[bool, int] = field(default_factory=lambda: {True: 0, False: 0})
     _views: dict[tuple[int, int], _InView] = field(default_factory=dict)
 
-    def see(self, glance: Glance) -> None:
+    def add_glance(self, glance: Glance) -> None:
         names = {track.identity for track in glance.tracks or ()}
         for key in [key for key in self._views if key[0] == glance.observer]:
             if key[1] not in glance.in_view:
@@ -95,7 +95,7 @@ def fly(scenario: str, seconds: float, tracker: str, seed: int) -> Flight:
     flown = load_scenario(scenario, seed=seed)
     watch = SeamWatch(flown)
     swarm = VirtualSwarm(flown, tracker=tracker)
-    score = recognition.judge(swarm, flown, seconds, watch.see).score
+    score = recognition.judge(swarm, flown, seconds, watch.add_glance).score
     at_seams, elsewhere = ((watch.samples[where], watch.nameless[where]) for where in (True, False))
     return Flight(score, watch.crossings, at_seams, elsewhere)
 

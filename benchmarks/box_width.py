@@ -143,7 +143,7 @@ def fly(model: str, second_stage: str, seed: int) -> Widths:
     for k in range(int(SECONDS * FPS)):
         t = k / FPS
         frame = Frame(t, 0.0, k, renderer.image(OBSERVER, t, k), StampKind.EXPOSURE)
-        found = detector.look(detector.plan(frame, expected))
+        found = detector.detect(detector.plan(frame, expected))
         if found is None:
             raise report.BenchmarkError(detector.status().text)
         away = flown.position(t) - camera.position
@@ -173,7 +173,7 @@ def on_clips(data: Path, detector: Detector, *, limit: int | None = None) -> Rea
         visible: dict[int, list[tuple[float, float, float]]] = {}
         truth = read_truth(clip.truth)
         for frame in frames(clip):
-            labelled, seen = truth.get(frame.sequence), detector.look(detector.plan(frame))
+            labelled, seen = truth.get(frame.sequence), detector.detect(detector.plan(frame))
             if labelled is None or seen is None:
                 continue
             boxes = TrackPoints(np.arange(len(seen)), seen.centre)

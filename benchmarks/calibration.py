@@ -81,7 +81,7 @@ def hand_turned(
     eyes, places = hand.world_from_body(exposures) @ body_from_camera, hand.position(exposures)
     for exposed, eye, place in zip(exposures, eyes, places, strict=True):
         noise = np.clip(128.0 + rng.normal(0.0, PIXEL_NOISE, (camera.height, camera.width)), 0, 255)
-        motion.see(float(exposed) - offset, room.image(eye, place, noise.astype(np.uint8)))
+        motion.add_frame(float(exposed) - offset, room.image(eye, place, noise.astype(np.uint8)))
     turns = motion.turns()
     found = solve(turns, gyro)
     assert found is not None, "the image was understood nowhere"

@@ -27,5 +27,5 @@ def frames(clip: Clip) -> Iterator[Frame]:
 
 def look(clip: Clip, detector: Detector) -> list[Detections]:
     """What the detector finds in each frame."""
-    looks = (detector.look(detector.plan(frame)) for frame in frames(clip))
+    looks = (detector.detect(detector.plan(frame)) for frame in frames(clip))
     return [found for found in looks if found is not None]

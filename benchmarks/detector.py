@@ -168,7 +168,7 @@ def _frames(args: argparse.Namespace, every: int) -> list[LabelledFrame]:
 def _detect(
     detector: Detector, image: Image, t: float = 0.0, expectation: Expectation | None = None
 ) -> Detections:
-    seen = detector.look(detector.plan(Frame(t, 0.0, 0, image, StampKind.MEDIA), expectation))
+    seen = detector.detect(detector.plan(Frame(t, 0.0, 0, image, StampKind.MEDIA), expectation))
     if seen is None:
         raise BenchmarkError(detector.status().text)
     return seen
@@ -261,7 +261,7 @@ def _times(model: str, second_stage: str, repeats: int) -> dict[str, dict[str, f
         spent = []
         for _ in range(repeats):
             begin = time.perf_counter()
-            detector.look(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
+            detector.detect(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
             spent.append(1e3 * (time.perf_counter() - begin))
         low, median, high = np.percentile(spent, [0, 50, 95])
         times[f"{width}x{height}"] = {

@@ -56,7 +56,7 @@ class Usage:
     seconds: dict[int, float] = field(default_factory=dict)
     strangers: set[str] = field(default_factory=set)
 
-    def look(self) -> None:
+    def sample(self) -> None:
         """What they have used by now; who has ended keeps what was last seen."""
         for entry in Path("/proc").iterdir():
             if not entry.name.isdigit() or entry.name in self.strangers:
@@ -177,7 +177,7 @@ async def fly_once(scenario: str, *words: str) -> Run:
 
 async def _watch(usage: Usage) -> None:
     while True:
-        usage.look()
+        usage.sample()
         await asyncio.sleep(LOOK_S)
 
 
@@ -197,7 +197,7 @@ class _Heard:
         self.silent_s, self._newest = max(self.silent_s, now - self._newest), now
         self.last = text or self.last
         if IN_FLIGHT.match(text):
-            self._usage.look()
+            self._usage.sample()
             self._span = [*self._span[:1], (now, self._usage.by_kind())]
         elif text.startswith(("PASSED", "FAILED", "NOT JUDGED")):
             self.verdict = text

@@ -133,7 +133,7 @@ class Sky:
         self.autopilot.heard = []
 
     @property
-    def heard(self) -> list[Heard]:
+    def messages(self) -> list[Heard]:
         return self.autopilot.heard
 
     def north(self, t: float) -> float:
@@ -225,7 +225,7 @@ async def flying_agent(sky: Sky, speed: float) -> AsyncIterator[asyncio.subproce
 async def engage(sky: Sky, speed: float) -> None:
     """By a pilot who tries until the agent is there, and flies."""
     begun = time.monotonic()
-    while not any(heard.speed > 0.99 * speed for heard in sky.heard):
+    while not any(heard.speed > 0.99 * speed for heard in sky.messages):
         if time.monotonic() > begun + PATIENCE_S:
             raise report.BenchmarkError(f"no agent flew within {PATIENCE_S:g} s")
         for mode in (FlightMode.HOLD, FlightMode.GUIDED):
@@ -242,13 +242,13 @@ async def fly(case: str, seed: int) -> Flight:
 
 
 async def _happen(case: str, sky: Sky, agent: int) -> Flight:
-    await asyncio.sleep(STEADY_S + 0.1 * np.random.default_rng(len(sky.heard)).random())
+    await asyncio.sleep(STEADY_S + 0.1 * np.random.default_rng(len(sky.messages)).random())
     event = time.monotonic()
     where = sky.north(event)
     happening = asyncio.create_task(CASES[case][1](agent))
     await asyncio.sleep(AFTER_S)
     await happening
-    after = [heard for heard in sky.heard if heard.t > event]
+    after = [heard for heard in sky.messages if heard.t > event]
     zeros = [heard.t - event for heard in after if heard.speed == 0.0]
     late = [heard.speed for heard in after if heard.t > event + ZERO_WITHIN_S]
     return Flight(

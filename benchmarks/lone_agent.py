@@ -66,7 +66,7 @@ class Heard:
     health: HealthMessage | None = None
     _exposure: float = 0.0
 
-    def take(self, kind: Kind, payload: bytes) -> None:
+    def receive(self, kind: Kind, payload: bytes) -> None:
         arrived_utc, arrived = time.time(), time.monotonic()
         if kind is Kind.HEALTH:
             self.health = codec.decode(HealthMessage, payload)
@@ -147,7 +147,7 @@ async def listening(team: str) -> AsyncIterator[Heard]:
         async for sample in listener.samples():
             address = keys.parse(sample.key)
             if address is not None and sample.payload:
-                heard.take(address.kind, sample.payload)
+                heard.receive(address.kind, sample.payload)
 
     task = asyncio.create_task(listen())
     try:

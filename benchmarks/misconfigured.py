@@ -107,7 +107,7 @@ class _Watch:
         self.first_seen: dict[int, float] = {}
         self.said: dict[int, float] = {}
 
-    def see(self, glance: Glance) -> None:
+    def add_glance(self, glance: Glance) -> None:
         if glance.in_view:
             self.first_seen.setdefault(glance.observer, glance.t)
         if self._swarm.onboard(glance.observer).self_doubt:
@@ -142,7 +142,7 @@ def fly(
     mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
     swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes, share_hz=share_hz)
     watch = _Watch(swarm, SECONDS[scenario])
-    score = recognition.judge(swarm, flown, SECONDS[scenario], watch.see).score
+    score = recognition.judge(swarm, flown, SECONDS[scenario], watch.add_glance).score
     after = {
         d: max(watch.said.get(d, math.inf) - max(watch.first_seen[d], swarm.announced_at[d]), 0.0)
         for d in row.of

@@ -154,7 +154,7 @@ class _Scene:
             place[0], speed[0] = other.place[0], other.speed[0]
         return _Told(place, speed)
 
-    def say(self, found: MotionEvidence, t: float) -> None:
+    def deliver_reports(self, found: MotionEvidence, t: float) -> None:
         """All that the drones said in the last scan's time."""
         for drone in range(self.n):
             first = math.ceil((t - SCAN_S - self._phase[drone]) / self._say_s)
@@ -167,7 +167,7 @@ class _Scene:
                 t_said = step * STEP_S + self._late[drone]
                 found.hear(Saying(drone, ("told",), t_said, place, speed, PUBLISHED))
 
-    def see(self, k: int) -> tuple[list[Track], ObserverCamera]:
+    def scan(self, k: int) -> tuple[list[Track], ObserverCamera]:
         """Of scan k: the tracks, by drone, and the camera as the observer believes that it is."""
         rng, t = self.rng, k * SCAN_S
         kept = math.exp(-SCAN_S / ATTITUDE_S)
@@ -206,8 +206,8 @@ def trial(row: Row, n: int, seed: int) -> Trial:
     honest = range({"spoof": 1, "swap": 2}.get(row.lie, 0), n)
     liar = {"spoof": STRANGER, "swap": 1}.get(row.lie)
     for k in range(round(SECONDS / SCAN_S)):
-        scene.say(found, k * SCAN_S)
-        tracks, view = scene.see(k)
+        scene.deliver_reports(found, k * SCAN_S)
+        tracks, view = scene.scan(k)
         began = time.process_time()
         found.observe(tracks, view)
         spent, scans = spent + time.process_time() - began, scans + 1

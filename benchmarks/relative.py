@@ -183,9 +183,9 @@ def fly(range_m: float, mode: Mode, seed: int, told: RelativeParameters | None =
         states.hear_announcement(senses.announcement(n))
     rows = []
     for k in range(len(truth.eye)):
-        look = senses.look(k)
+        look = senses.scan(k)
         states.observe(look)
-        senses.say(k, states)
+        senses.deliver_reports(k, states)
         own = OwnMotion(look.camera, look.velocity, np.zeros((3, 3)), mode.attitude**2 * np.eye(3))
         rows.append([*_judged(states, look.t, own, truth, k), bound.step(k), unknown.step(k)])
     columns = (np.array(column) for column in zip(*rows, strict=True))
@@ -222,7 +222,7 @@ class _Senses:
         )
         self._off = FRAMES_APART_M * rng.standard_normal((TEAMMATES, 3))
 
-    def look(self, k: int) -> TeamLook:
+    def scan(self, k: int) -> TeamLook:
         """Of scan k."""
         truth, mode, rng = self._truth, self._mode, self._rng
         _, wander, white = mode.size
@@ -260,7 +260,7 @@ class _Senses:
         cov = 0.5 * FRAMES_APART_M**2 * np.eye(3)
         return Announcement(n + 2, "00000000", 0, 0.0, 0.0, place, np.eye(3), cov)
 
-    def say(self, k: int, states: RelativeStates) -> None:
+    def deliver_reports(self, k: int, states: RelativeStates) -> None:
         """What is heard after scan k."""
         mode, truth, rng = self._mode, self._truth, self._rng
         for n in range(TEAMMATES):

@@ -27,7 +27,7 @@ def rendered_eyes(scenario: Scenario, section: DetectorSection = USUAL_SECTION) 
         image = renderers[seen.camera].image(seen.drone_id, seen.t, seen.sequence)
         frame = Frame(seen.stamp, 0.0, seen.sequence, image, StampKind.EXPOSURE, camera=seen.camera)
         detector = detectors[seen.drone_id]
-        found = detector.look(detector.plan(frame, PerceivedExpectation(seen.perceived, seen.camera)))
+        found = detector.detect(detector.plan(frame, PerceivedExpectation(seen.perceived, seen.camera)))
         if found is None:
             raise BenchmarkError(detector.status().text)
         return found

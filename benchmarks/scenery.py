@@ -90,7 +90,7 @@ class Watch:
     tracks: int = 0
     glances: int = 0
 
-    def see(self, glance: Glance) -> None:
+    def add_glance(self, glance: Glance) -> None:
         self.glances += 1
         for track in glance.tracks or ():
             if not self._in_picture(track):
@@ -144,7 +144,7 @@ def fly(p: Programme, name: str, seed: int) -> Flight:
     flown = scenario_of_seed(p, name, seed)
     eyes = rendered_eyes(flown, DetectorSection(second_stage=p.second_stage))
     swarm, watch = VirtualSwarm(flown, tracker=p.tracker, eyes=eyes), Watch(flown)
-    score = recognition.judge(swarm, flown, p.seconds, watch.see).score
+    score = recognition.judge(swarm, flown, p.seconds, watch.add_glance).score
     return Flight(seed, score, tuple(watch.standing.values()), watch.tracks, watch.glances / SCORE_HZ)
 
 

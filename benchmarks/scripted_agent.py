@@ -74,10 +74,10 @@ class ScriptedDetector:
     def plan(self, frame: Frame, expectation: Expectation | None = None) -> Look:
         return Look(frame, (), None) if self._real is None else self._real.plan(frame)
 
-    def look(self, look: Look) -> Detections:
+    def detect(self, look: Look) -> Detections:
         frame = look.frame
         if self._real is not None:
-            self._real.look(look)
+            self._real.detect(look)
         else:
             time.sleep(self._look_s)  # in the detector's own thread, as the real one
         phase = 0.7 * frame.t + np.arange(DRONES)

@@ -132,7 +132,7 @@ def look(n: int, mode: Mode, tracker: str, seed: int) -> Flight:
             for one in scan.tracks.tracks
             if one.track.status is TrackStatus.CONFIRMED
         ]
-        judge.see(scan.exposed_t, tuple(tracks))
+        judge.add_scan(scan.exposed_t, tuple(tracks))
     return judge.flight(begins)
 
 
@@ -147,7 +147,7 @@ class _Judge:
         self._wrong: set[int] = set()
         self._names: dict[int, object] = {}
 
-    def see(self, t: float, tracks: tuple[NamedTrack, ...]) -> None:
+    def add_scan(self, t: float, tracks: tuple[NamedTrack, ...]) -> None:
         view = self._truth.view(OBSERVER, t)
         glance = Glance(OBSERVER, "virtual", math.floor(t * SCORE_HZ), t, view.in_view, view.hidden, tracks)
         seen = self._scorer.add(glance)

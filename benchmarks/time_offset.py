@@ -213,11 +213,11 @@ def _play(sensed: Sensed, offset_s: float, seconds: float) -> Run:
                 gyro.append(sensed.imu[what].t, (x, y, z))
                 bias.settle()
             case EgoPose():
-                bias.see(what.t, what.world_from_body @ body_from_camera, what.attitude_sigma)
+                bias.add_attitude(what.t, what.world_from_body @ body_from_camera, what.attitude_sigma)
             case Detections():
                 stamp = what.t - offset_s
                 exposure = clock.exposure(stamp, gyro)
-                clock.see(stamp, Scan(exposure, camera.undistort(what.centre)), camera)
+                clock.add_scan(stamp, Scan(exposure, camera.undistort(what.centre)), camera)
             case None:
                 judged.append(_judge(clock, bias, offset_s, sensed.bias))
     errors, sigmas, worst, rms, bias_sigmas = np.array(judged).T

@@ -185,7 +185,7 @@ class Onboard:
                     # Where its place goes on from it is not, it seems: what is left is its autopilot's word.
                     self._ego.believe_leaps()
                 attitude = event.world_from_body @ self._first.body_from_camera.rotation
-                self._bias.see(event.t, attitude, event.attitude_sigma)
+                self._bias.add_attitude(event.t, attitude, event.attitude_sigma)
                 self._watch_heading(event)
             case FlightState():
                 self._ego.fly(event)
@@ -318,7 +318,7 @@ class Onboard:
 
     def _watch_heading(self, pose: EgoPose) -> None:
         """Has the autopilot's heading jumped, or has it been aligned in flight? Then the team should hear of it."""
-        steps = self._heading_steps.see(pose)
+        steps = self._heading_steps.add_pose(pose)
         for step in steps:
             self._ego.step_heading(pose.t, step)
             self._identities.step_heading(pose.t)
@@ -387,7 +387,7 @@ class Onboard:
         number = detections.camera
         if self._rig.turn_variance(number, orientation) > UNMEASURED**2:
             self._identities.turn_unmeasured()
-        self.cameras[number].clock.see(detections.t, scan, self.cameras[number].lens)
+        self.cameras[number].clock.add_scan(detections.t, scan, self.cameras[number].lens)
         self._watch_mounting(number, scan, orientation)
         self._events += self._rig.update(number, scan, orientation) or []
         is_mounted = number not in self._picture_turns.wrong
@@ -415,7 +415,7 @@ class Onboard:
 
     def _watch_mounting(self, number: int, scan: Scan, orientation: Orientation) -> None:
         """Is a camera mounted as configured? A target in one that is not is elsewhere than it seems."""
-        news = self._picture_turns.see(number, scan, self.cameras[number].lens, orientation)
+        news = self._picture_turns.add_scan(number, scan, self.cameras[number].lens, orientation)
         if news is not None:
             self._rig.set_apart(self._picture_turns.wrong)
             # It may have been of this camera.

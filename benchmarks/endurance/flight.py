@@ -159,7 +159,7 @@ def name_of(pid: int) -> str | None:
 
 
 class Healths:
-    """The agents' health since the last `take`."""
+    """The agents' health since the last `drain`."""
 
     def __init__(self) -> None:
         self._news: dict[int, list[HealthMessage]] = {}
@@ -168,7 +168,7 @@ class Healths:
     def add(self, drone_id: int, health: HealthMessage) -> None:
         self._news.setdefault(drone_id, []).append(health)
 
-    def take(self) -> dict[int, AgentWindow]:
+    def drain(self) -> dict[int, AgentWindow]:
         """Of every agent that was heard before, too: counters want a beginning."""
         news, self._news = self._news, {}
         found = {
@@ -230,7 +230,7 @@ class Viewer:
         self._state_at = self._began = time.monotonic()
         self._longest_wait = 0.0
 
-    async def look(self, url: str) -> None:
+    async def watch(self, url: str) -> None:
         """At every drone there is, until cancelled or until the monitor ends."""
         watched: list[int] = []
         async with (
@@ -250,7 +250,7 @@ class Viewer:
                     self._views += 1
                 await socket.send_str("+")
 
-    def take(self) -> ViewerWindow:
+    def drain(self) -> ViewerWindow:
         """Since the last call."""
         now = time.monotonic()
         seconds = now - self._began
@@ -298,14 +298,14 @@ async def measure(
 
     others = [
         asyncio.create_task(listen(), name="the listener"),
-        asyncio.create_task(viewer.look(swarm.monitor_url), name="the viewer"),
+        asyncio.create_task(viewer.watch(swarm.monitor_url), name="the viewer"),
     ]
     windows: list[Window] = []
     try:
         began = max(0.0, time.monotonic() - swarm.epoch)  # world time; later than 0 on a machine that is busy
         await _until(swarm, began, others)
-        healths.take()
-        viewer.take()
+        healths.drain()
+        viewer.drain()
         before, machine = time.monotonic(), machine_seconds()
         cpu = {name: cpu_seconds(pid) for name, pid in swarm.pids.items()}
         for k in range(1, int((flight_s - began) / seconds) + 1):
@@ -319,8 +319,8 @@ async def measure(
                 rss_mb={name: rss_mb(pid) for name, pid in swarm.pids.items()},
                 cpu_percent={name: 100.0 * (used[name] - cpu[name]) / (now - before) for name in used},
                 elsewhere_percent=max(0.0, 100.0 * (whole - machine - ours) / (now - before)),
-                agents=healths.take(),
-                viewer=viewer.take(),
+                agents=healths.drain(),
+                viewer=viewer.drain(),
             )
             before, machine, cpu = now, whole, used
             windows.append(window)

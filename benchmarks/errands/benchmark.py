@@ -92,7 +92,7 @@ def fly(p: Programme, told: bool, seed: int) -> FlightRecord:
     swarm = VirtualSwarm(scenario, tracker=p.tracker, eyes=eyes, camera_clocks_told=told)
     judge = FlightJudge(scenario, swarm)
     for scan in swarm.fly(scenario.seconds):
-        judge.see(scan)
+        judge.add_scan(scan)
     return judge.record(seed, scenario.fps)
 
 

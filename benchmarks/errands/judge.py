@@ -56,7 +56,7 @@ class ClockRecord:
     _settled: float = 0.0
     _last: float = 0.0
 
-    def see(self, t: float, clock: CameraClock) -> None:
+    def add_sample(self, t: float, clock: CameraClock) -> None:
         if clock.found is not None:
             self._claims[clock.found.offset_s] = clock.found.sigma_s
         used = clock.used_s
@@ -150,11 +150,11 @@ class FlightJudge:
                 turns[event.drone_id] = min(turns[event.drone_id], event.t)
         self.clocks = {d: ClockRecord(-swarm.stamps_late(d), turns[d]) for d in scenario.members}
 
-    def see(self, scan: ObservedScan) -> None:
+    def add_scan(self, scan: ObservedScan) -> None:
         onboard = self._swarm.onboard(scan.observer)
         clock = onboard.cameras[0].clock
         record = self.clocks[scan.observer]
-        record.see(scan.t, clock)
+        record.add_sample(scan.t, clock)
         self._distances(scan, self._truth.view(scan.observer, scan.t))
         shown = self._truth.view(scan.observer, scan.exposed_t)
         self._judge.see(scan, scan.exposed_t)

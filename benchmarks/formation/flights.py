@@ -163,7 +163,7 @@ class FormationFlight(FailingSwarm):
             velocity = leader_velocity(now, self.plan.speed_m_s)
             if self.plan.leader_homes_m_s and now >= INTRUDES_S:
                 velocity = self._pursuit(LEADER, self.plan.leader_homes_m_s, now)
-            drone.tell(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
+            drone.command(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
             self._intrude(now)
             return
         if not self._runs(drone_id, now):
@@ -175,10 +175,10 @@ class FormationFlight(FailingSwarm):
         self._whys[drone_id] = told.setpoint.why
         if not engagement.number:
             # It stays where its pilot has it.
-            drone.tell(now, SetPoint(now))
+            drone.command(now, SetPoint(now))
             return
         flown = self.flown_as_told(drone_id, told.velocity, now)
-        drone.tell(now, SetPoint(now, velocity=flown, yaw_rate=told.yaw_rate))
+        drone.command(now, SetPoint(now, velocity=flown, yaw_rate=told.yaw_rate))
 
     def _intrude(self, now: float) -> None:
         intruder = self.scenario.world.drones.get(INTRUDER)
@@ -188,7 +188,7 @@ class FormationFlight(FailingSwarm):
             velocity = speed * math.cos(way), speed * math.sin(way), 0.0
             if self.plan.homes:
                 velocity = self._pursuit(INTRUDER, speed, now)
-            intruder.tell(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
+            intruder.command(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
 
     def _pursuit(self, pursuer: int, speed: float, now: float) -> Triple:
         """m/s: straight at the first follower, where it truly is."""

@@ -104,11 +104,11 @@ class Interacting:
 
     def update(self, rows: Rows, z: Array) -> None:
         R = np.tile(self._R, (len(rows), 1, 1))
-        self._put(rows, manoeuvre.update(self._mixture.take(rows), z, R)[0])
+        self._put(rows, manoeuvre.update(self._mixture.select(rows), z, R)[0])
 
     def position(self, ahead_s: float = 0.0) -> Array:
         found = np.full((len(self._begun), 2), np.nan)
-        now = self._carried(ahead_s) if ahead_s else self._mixture.take(self._rows)
+        now = self._carried(ahead_s) if ahead_s else self._mixture.select(self._rows)
         found[self._rows] = manoeuvre.merged(now)[0][:, POSITION]
         return found
 
@@ -120,7 +120,7 @@ class Interacting:
         self, dt: float, rotation: Array | None = None, rotation_variance: float = 0.0
     ) -> ModeMixture:
         return manoeuvre.predict(
-            self._mixture.take(self._rows),
+            self._mixture.select(self._rows),
             dt,
             self._manoeuvres,
             camera=self._camera,

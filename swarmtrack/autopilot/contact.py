@@ -49,14 +49,14 @@ class News:
         self._now = now
         self._said: dict[str, float] = {}  # by name, when it was logged last
 
-    def say(self, level: int, name: str, text: str, *values: object) -> None:
+    def log(self, level: int, name: str, text: str, *values: object) -> None:
         now = self._now()
         if now - self._said.get(name, -math.inf) >= LINK_NEWS_PERIOD_S:
             self._said[name] = now
             log.log(level, text, *values)
 
     def warn(self, name: str, text: str, *values: object) -> None:
-        self.say(logging.WARNING, name, text, *values)
+        self.log(logging.WARNING, name, text, *values)
 
 
 def heartbeat(kind: int) -> object:

@@ -131,7 +131,7 @@ class GyroDelays:
         """How late the angular velocity in this message is."""
         return self._of_rates if message_id == ATTITUDE_QUATERNION else self._of_imu
 
-    def say(self, message_id: int) -> None:
+    def log_delay(self, message_id: int) -> None:
         """Log how late the gyro is taken to be, once and where it has changed; not while an answer is due."""
         delay = self.of(message_id)
         if self._reader.waits or delay == self._said:

@@ -52,7 +52,7 @@ class LinkState:
     _trouble: str = "just started"
     """The name of the present one, empty while streaming."""
 
-    def judge(self, now: float) -> None:
+    def update(self, now: float) -> None:
         """Set the state; log one line where it, or the reason for it, has changed."""
         self.state = self._state_at(now)
         contact, telemetry, address = self.contact, self.telemetry, self.link.address
@@ -62,7 +62,7 @@ class LinkState:
             if self._trouble and telemetry.imu_rate_hz:  # the line tells the rate, so wait until it is known
                 self._trouble = ""
                 text = self._sentence(now)[1]
-                self.news.say(logging.INFO, "streaming", "%s: streaming: %s", address, text)
+                self.news.log(logging.INFO, "streaming", "%s: streaming: %s", address, text)
             return
         name, text = self._sentence(now)
         patient = (

@@ -242,7 +242,7 @@ class MavlinkAutopilot:
             if self._link.address.scheme == "tcp" and silent > TCP_SILENT_S:
                 self._link.drop(f"silent for {TCP_SILENT_S:g} s")
         self._telemetry.measure(now)
-        self._link_state.judge(now)
+        self._link_state.update(now)
 
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:
@@ -296,13 +296,13 @@ class MavlinkAutopilot:
         return self._codec.key
 
     def way(self) -> WayToAutopilot | None:
-        """How a frame of another process of ours would reach it; None where `tell` would be deaf."""
+        """How a frame of another process of ours would reach it; None where `send_message` would be deaf."""
         wire = None if self._is_deaf() else self._link.wire()
         if wire is None:
             return None
         return WayToAutopilot(wire, self._contact.opened_at, self._codec.system, self._codec.component)
 
-    def tell(self, message: Any) -> bool:
+    def send_message(self, message: Any) -> bool:
         """Say a message of the dialect to the autopilot, and by way of it to ground stations. Never blocks.
 
         False, and nothing is sent, where nobody would hear it: into a recording, or while the autopilot is silent.

@@ -168,7 +168,7 @@ class Telemetry:
             self.imu_rate_hz = self._window_count / (now - self._window_start)
             self._window_start, self._window_count = now, 0
             if self._imu_rank is not None:
-                self._gyro_delays.say(self.imu_source.id)
+                self._gyro_delays.log_delay(self.imu_source.id)
 
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -52,7 +52,7 @@ class ImageMotion:
         self.found: list[Turn] = []
         self.frames = 0
 
-    def see(self, t: float, image: Image) -> Turn | None:
+    def add_frame(self, t: float, image: Image) -> Turn | None:
         """A frame stamped t, (h, w) or (h, w, 3), of the camera's size. None where nothing could be said."""
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
         if grey.shape[::-1] != self._size:

@@ -74,7 +74,7 @@ class DetectionStream:
 
     async def detections(self) -> AsyncIterator[Detections]:
         self._stream.start(self._read)
-        while (timed := await self._slot.take()) is not None:
+        while (timed := await self._slot.get()) is not None:
             self._slot.source.given(timed.detections.t, timed.t_sigma)
             yield timed.detections
 
@@ -107,7 +107,7 @@ class DetectionStream:
         sequence = self._stream.received if sent.sequence is None else sent.sequence
         self._count_lost(sequence)
         _, t, t_sigma = self._stream.exposure(sent.t_s, arrived)
-        self._slot.source.say(True, "streaming")
+        self._slot.source.report(True, "streaming")
         self._slot.put(TimedDetections(_as_detections(sent, t, sequence), t_sigma))
 
     def _count_lost(self, sequence: int) -> None:

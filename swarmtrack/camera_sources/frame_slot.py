@@ -62,7 +62,7 @@ class FrameSlot(NewestSlot[RawFrame]):
         self._resize = resize
 
     async def frames(self) -> AsyncIterator[Frame]:
-        while (raw := await self.take()) is not None:
+        while (raw := await self.get()) is not None:
             try:
                 image = await asyncio.to_thread(self._develop, raw)
             except BadImage as error:

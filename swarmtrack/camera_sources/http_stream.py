@@ -122,7 +122,7 @@ class HttpStream:
                     reason = f"cannot connect to {error.host} port {error.port}: {why}"
                 except aiohttp.ClientError as error:
                     reason = f"lost: {error}"
-                self._slot.source.say(False, f"{reason}; trying again")
+                self._slot.source.report(False, f"{reason}; trying again")
                 if self.received > received:
                     backoff = CAMERA_FIRST_BACKOFF_S
                 await asyncio.sleep(backoff)

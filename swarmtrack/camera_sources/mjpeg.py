@@ -63,7 +63,7 @@ class MjpegCamera:
     def _receive(self, part: Part) -> None:
         if not part.body:
             return
-        self._slot.source.say(True, "streaming")
+        self._slot.source.report(True, "streaming")
         self._stream.received += 1
         sequence = self._stream.received
         text = part.headers.get("x-timestamp")

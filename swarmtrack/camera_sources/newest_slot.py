@@ -68,7 +68,7 @@ class NewestSlot(Generic[T]):
             self._changed.clear()
             await self._changed.wait()
 
-    async def take(self) -> T | None:
+    async def get(self) -> T | None:
         """The newest, as soon as there is one; None after the end."""
         await self.arrived()
         if self._newest is None:

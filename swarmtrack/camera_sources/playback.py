@@ -74,7 +74,7 @@ class PlaybackCamera(ThreadCamera):
 
     def frames(self) -> AsyncIterator[Frame]:
         if self._thread is None and not self._stop.is_set():
-            self._slot.source.say(True, "playing")
+            self._slot.source.report(True, "playing")
             self._start = self._clock.now()
         return super().frames()
 
@@ -93,7 +93,7 @@ class PlaybackCamera(ThreadCamera):
         except Exception as bug:  # not lost with the thread: the consumer raises it
             error, ok, text = bug, False, f"failed: {bug}"
         try:
-            loop.call_soon_threadsafe(self._slot.source.say, ok, text)
+            loop.call_soon_threadsafe(self._slot.source.report, ok, text)
             loop.call_soon_threadsafe(self._slot.end, error)
         except RuntimeError:
             return  # the loop is gone, and with it everybody who could want to know

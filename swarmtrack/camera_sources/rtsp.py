@@ -58,7 +58,7 @@ class RtspCamera(ThreadCamera):
         while not self._stop.is_set():
             capture, problem = self._open()
             if capture is None:
-                tell(self._slot.source.say, False, f"{problem}; trying again")
+                tell(self._slot.source.report, False, f"{problem}; trying again")
             else:
                 if sequence:
                     tell(self._count_reconnect)
@@ -95,7 +95,7 @@ class RtspCamera(ThreadCamera):
                 found, image = capture.read()
                 if not found:
                     tell(
-                        self._slot.source.say,
+                        self._slot.source.report,
                         False,
                         f"lost, or nothing for {options.timeout_s:g} s; trying again",
                     )
@@ -103,7 +103,7 @@ class RtspCamera(ThreadCamera):
                 t = self._clock.now() - 1e-3 * options.latency_ms
                 decode = already(np.asarray(image, np.uint8))
                 raw = RawFrame(t, 1e-3 * options.sigma_ms, sequence, StampKind.ARRIVAL, decode)
-                tell(self._slot.source.say, True, "streaming")
+                tell(self._slot.source.report, True, "streaming")
                 tell(self._slot.put, raw)
                 sequence += 1
         finally:

@@ -47,7 +47,7 @@ class SourceStatus:
         """A frame is here."""
         self._came.append(self._clock.now())
 
-    def say(self, ok: bool, text: str) -> None:
+    def report(self, ok: bool, text: str) -> None:
         """Set the one line about this source; logged when it changes, not when it is said again."""
         text = plain(text)
         if (ok, text) != (self._ok, self._text):

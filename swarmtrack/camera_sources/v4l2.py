@@ -131,12 +131,12 @@ class V4l2Camera:
             try:
                 capture = await self._open()
             except CameraUnavailable as away:
-                self._slot.source.say(False, str(away))
+                self._slot.source.report(False, str(away))
             else:
                 self._slot.source.counts.reconnects += opened_before
                 opened_before = True
                 stream = CaptureSession(capture, self._slot, self._clock, self._options, sequence)
-                self._slot.source.say(False, await stream.run())
+                self._slot.source.report(False, await stream.run())
                 sequence = stream.sequence
                 if stream.received:
                     backoff = CAMERA_FIRST_BACKOFF_S
@@ -180,7 +180,7 @@ class CaptureSession:
     async def run(self) -> str:
         """Feed the slot until the device fails; closes it and returns the reason."""
         loop = asyncio.get_running_loop()
-        self._slot.source.say(False, f"{self._capture.description}; waiting for the first frame")
+        self._slot.source.report(False, f"{self._capture.description}; waiting for the first frame")
         loop.add_reader(self._capture.fd, self._on_readable)
         try:
             return await self._watch()
@@ -204,7 +204,7 @@ class CaptureSession:
                 return f"no frame for {silent_for:.1f} s; opening it again"
             if silent_for and self._flowing:
                 self._flowing = False
-                self._slot.source.say(
+                self._slot.source.report(
                     False, f"no frame for {silent_for:.1f} s (cable, power, USB bandwidth?)"
                 )
 
@@ -244,7 +244,7 @@ class CaptureSession:
         self._count(buffer.sequence)
         if not self._flowing:
             self._flowing = True
-            self._slot.source.say(True, self._capture.description)
+            self._slot.source.report(True, self._capture.description)
         if buffer.flags & abi.BUF_FLAG_ERROR or buffer.bytesused == 0:
             self._slot.source.counts.corrupt += 1
             return None

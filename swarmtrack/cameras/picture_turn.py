@@ -88,13 +88,13 @@ class PictureTurns:
         self.wrong: frozenset[int] = frozenset()
         """The cameras that sit otherwise than was told: nothing that they show is where it seems to be."""
 
-    def see(
+    def add_scan(
         self, number: int, scan: Scan, camera: PinholeCamera, orientation: Orientation
     ) -> MountingNews | None:
         """A scan of a camera, and the first one's orientation at its exposure: what is new of that camera."""
         turn = self._turns[number]
         before = turn.found
-        turn.see(scan, camera, orientation)
+        turn.add_scan(scan, camera, orientation)
         if turn.found == before:
             return None
         fits = turn.found is None
@@ -137,7 +137,7 @@ class PictureTurn:
         self.found: int | None = None
         """Which of the others it is instead; None while the told one will do."""
 
-    def see(self, scan: Scan, camera: PinholeCamera, orientation: Orientation) -> None:
+    def add_scan(self, scan: Scan, camera: PinholeCamera, orientation: Orientation) -> None:
         """A scan, and the first camera's orientation at its exposure."""
         if self._settled:
             return

@@ -382,7 +382,7 @@ class Rig:
                 del self._arrived[track_id]
                 crossed.add(track_id)
                 giver, pixel, cov, angle = foretold
-                self._seam(giver, taker).learn(pixel, cov + R, z, camera, to_second=giver < taker, by=angle)
+                self._seam(giver, taker).update(pixel, cov + R, z, camera, to_second=giver < taker, by=angle)
         low, high = camera.frame_bounds
         border = EXPECTED_BORDER_SHARE * (high - low)
         for track_id, (giver, pixel, _, _) in self._foretold.items():

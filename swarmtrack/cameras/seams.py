@@ -168,7 +168,7 @@ class Seam:
         """(3,) rad: δ as it is used now."""
         return self._angle
 
-    def learn(
+    def update(
         self, foretold: Array, cov: Array, z: Array, camera: PinholeCamera, *, to_second: bool, by: Array
     ) -> None:
         """A track was foretold at a pixel (2,), `by` the angle (3,) of when it went over, and detected at z (2,);

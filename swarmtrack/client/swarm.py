@@ -136,12 +136,12 @@ class Swarm:
         try:
             try:
                 async with asyncio.timeout(patience_s):
-                    first = await outlet.take()
+                    first = await outlet.get()
             except TimeoutError:
                 raise TransportError(await self._silence(drone_id, patience_s)) from None
             while first is not None:
                 yield first
-                first = await outlet.take()
+                first = await outlet.get()
         finally:
             outlets.remove(outlet)
 
@@ -172,7 +172,7 @@ class Swarm:
         while True:
             await asyncio.sleep(CLIENT_ASK_PERIOD_S)
             for drone_id in self._heard.without_camera:
-                self._listener.ask(Kind.CAMERA, drone_id)
+                self._listener.request(Kind.CAMERA, drone_id)
 
     async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
         """Why nothing is heard, as far as one can tell."""
@@ -203,7 +203,7 @@ class _Outlet(Generic[T]):
         self.news = asyncio.Event()
         self.closed = False
 
-    async def take(self) -> T | None:
+    async def get(self) -> T | None:
         """None where nothing will come any more."""
         while not self.waiting:
             if self.closed:

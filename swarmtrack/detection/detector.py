@@ -222,7 +222,7 @@ class Detector:
                 comparison = memory.motion.compare(frame.t, expectation)
         return Look(frame, tuple(windows), comparison, expected)
 
-    def look(self, look: Look) -> Detections | None:
+    def detect(self, look: Look) -> Detections | None:
         """All drones in the windows of a planned look, best first, in pixels of the image as given.
 
         None where it could not look (counted, and said in `status`): that is not the same as seeing nobody, which
@@ -278,9 +278,9 @@ class Detector:
         parts = []
         for window in look.windows:
             part = image[window.y : window.y + window.height, window.x : window.x + window.width]
-            found, seconds = self._net.look(part, window.scale, least, self._limit)
+            found, seconds = self._net.infer(part, window.scale, least, self._limit)
             found = found._replace(centre=found.centre + np.array([window.x, window.y]))
-            parts.append(found.take(~window.cuts(found.centre, found.size, whole)))
+            parts.append(found.select(~window.cuts(found.centre, found.size, whole)))
             spent += seconds
         found = parts[0] if len(parts) == 1 else suppress(together(parts), limit=self._limit)
         began = self._clock.now()
@@ -290,19 +290,19 @@ class Detector:
         if len(parts) > 1:
             # Only now: what seemed likelier to the first stage is a house perhaps, and the drone is before it.
             once = of_several_looks(found, limit=self._limit)
-            found, shown_from, resize = found.take(once), shown_from[once], resize[once]
+            found, shown_from, resize = found.select(once), shown_from[once], resize[once]
             likeness = None if likeness is None else likeness[once]
         motion = self._memory(look.frame.camera).motion
         if motion is not None:
             likeness = found.score if likeness is None else likeness
             rows, score = motion.weigh(look.frame, found, shown_from, look.comparison)
-            found, likeness, resize = found.take(rows)._replace(score=score), likeness[rows], resize[rows]
+            found, likeness, resize = found.select(rows)._replace(score=score), likeness[rows], resize[rows]
         found = found._replace(size=found.size * resize[:, None])
         spent[2] += self._clock.now() - began
         return found, likeness, spent
 
     def _look_again(self, second: SecondStage, look: Look, found: Candidates) -> _LookedAgain:
-        judged = second.judge(look.frame.image, found, self._drawn)
+        judged = second.classify(look.frame.image, found, self._drawn)
         alone = _near(look.expected, found.centre) & (found.score > judged.score)
         score = np.where(alone, found.score, judged.score)
         resize = np.where(alone, 1.0, judged.resize)  # what it takes for no drone has no span
@@ -311,7 +311,7 @@ class Detector:
         order = np.argsort(-score, kind="stable")
         order = order[(score >= least)[order]]
         return _LookedAgain(
-            found._replace(score=score).take(order),
+            found._replace(score=score).select(order),
             second.likeness(judged.score[order]),
             shown_from[order],
             resize[order],
@@ -322,7 +322,7 @@ class Detector:
         for _ in range(2):
             empty = np.full((height, width, 3), self.description.pad_value, np.uint8)
             window = Window(0, 0, width, height, self._input_scale)
-            self._net.look(empty, window.scale, self.score_threshold, self._limit)
+            self._net.infer(empty, window.scale, self.score_threshold, self._limit)
 
     @property
     def latency(self) -> Latency:

@@ -34,7 +34,7 @@ class Candidates(NamedTuple):
     score: Array
     label: NDArray[np.intp]
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | list[int] | slice) -> Candidates:
+    def select(self, rows: NDArray[np.intp] | NDArray[np.bool_] | list[int] | slice) -> Candidates:
         return Candidates(self.centre[rows], self.size[rows], self.score[rows], self.label[rows])
 
 
@@ -159,14 +159,14 @@ def distinct(candidates: Candidates, *, limit: int, iou: float = 0.55, distance:
 
 def suppress(candidates: Candidates, *, limit: int) -> Candidates:
     """What one look found, each thing once."""
-    return candidates.take(distinct(candidates, limit=limit))
+    return candidates.select(distinct(candidates, limit=limit))
 
 
 def together(looks: Sequence[Candidates]) -> Candidates:
     """What several looks at one image found, best first; a drone may be there as often as it was looked at."""
     columns = (np.concatenate(column) for column in zip(*looks, strict=True))
     found = Candidates(*columns)
-    return found.take(np.argsort(-found.score, kind="stable"))
+    return found.select(np.argsort(-found.score, kind="stable"))
 
 
 def of_several_looks(found: Candidates, *, limit: int) -> list[int]:

@@ -45,7 +45,7 @@ class Net:
         written = session.get_modelmeta().custom_metadata_map
         self.description: Description = describe(str(path), written, self._try_out(), declared)
 
-    def look(self, image: Image, scale: float, threshold: float, limit: int) -> tuple[Candidates, Seconds]:
+    def infer(self, image: Image, scale: float, threshold: float, limit: int) -> tuple[Candidates, Seconds]:
         """Drones in (h, w) grey or (h, w, 3) BGR, in pixels of it, best first; at most `limit`, of at least the score
         `threshold`. scale: input px per image px, where the input's size is free."""
         started = self._clock.now()
@@ -60,7 +60,7 @@ class Net:
         centre, sizes = box.points_to_image(found.centre), box.sizes_to_image(found.size)
         # The padding is not part of the image, and what is found there is not in the world.
         inside = np.asarray(((centre > -0.5) & (centre < [width - 0.5, height - 0.5])).all(axis=1))
-        found = found._replace(centre=centre, size=sizes, score=self._calibrated(found.score)).take(inside)
+        found = found._replace(centre=centre, size=sizes, score=self._calibrated(found.score)).select(inside)
         found = self._drones(found, limit)
         return found, Seconds(prepared - started, answered - prepared, self._clock.now() - answered)
 
@@ -77,8 +77,8 @@ class Net:
         """Those of the classes we look for, where nothing that looks alike is seen more surely."""
         net = self.description
         rivals = np.isin(found.label, [*net.drones, *net.vetoes])
-        kept = suppress(found.take(rivals), limit=limit)
-        return kept.take(np.isin(kept.label, [*net.drones]))
+        kept = suppress(found.select(rivals), limit=limit)
+        return kept.select(np.isin(kept.label, [*net.drones]))
 
     def _blob(self, image: NDArray[np.uint8]) -> Output:
         """(1, 3, h, w) as the net wants it, of its own input's size."""

@@ -98,7 +98,7 @@ class SecondStage:
             what="an empty square",
         )
 
-    def judge(self, image: Image, found: Candidates, drawn: BoxWidth) -> SecondLook:
+    def classify(self, image: Image, found: Candidates, drawn: BoxWidth) -> SecondLook:
         """Candidates (n) in an image, best first, and how the detector draws boxes. In a crowd the last are not asked
         about: nothing speaks for them or against."""
         log_odds, resize = np.zeros(len(found.score)), np.ones(len(found.score))

@@ -104,7 +104,7 @@ def detector_facts(
     with suppress(SwarmtrackError):
         detector.warm_up(newest.image.shape[1], newest.image.shape[0])
     for _ in range(TIMED_FRAMES):
-        detector.look(detector.plan(newest))
+        detector.detect(detector.plan(newest))
     latency = detector.latency
     ms = 1e3 * (latency.pre.p50 + latency.infer.p50 + latency.post.p50)
     return DetectorFacts(True, "", detector.path.name, providers, detector.providers, ms, fps)

@@ -83,7 +83,7 @@ class CameraWatch:
                 self._stamps.add(frame.stamp)
                 self._newest = frame
                 if beside_gyro and self.motion is not None:
-                    await asyncio.to_thread(self.motion.see, frame.t, frame.image)
+                    await asyncio.to_thread(self.motion.add_frame, frame.t, frame.image)
 
     async def close(self) -> None:
         if self._camera is not None:

@@ -58,7 +58,7 @@ class DivergenceWatch:
         self._way: deque[_Off] = deque()
         self._parts: tuple[float, float] | None = None
 
-    def see(self, t: float, told: Velocity, flown: Velocity, *, usable: bool = True) -> None:
+    def add_sample(self, t: float, told: Velocity, flown: Velocity, *, usable: bool = True) -> None:
         """told [m/s]: since the last time; flown [m/s]: over ground, by the own autopilot; usable: that is known."""
         dt = 0.0 if self._t is None else t - self._t
         begins = self._t is None or not usable or not 0.0 <= dt <= LONGEST_TIME_STEP_S

@@ -230,7 +230,7 @@ class Formation:
             if state is None or state.drone_id != watch.drone_id:
                 watch.restart()
                 continue
-            watch.see(named[0], state, own, t)
+            watch.observe(named[0], state, own, t)
             if watch.trusted and _is_new(own.scan_ages[named[0].track.camera]):
                 trusted.append((watch.drone_id, named[0].track.id))
         return trusted
@@ -268,8 +268,8 @@ class Formation:
             and entry.identity_probability
             > (REFERENCE_DOUBTED_PROBABILITY if self._heights.knows(entry.identity) else self.parameters.sure)
         }
-        self._heights.see((sight for sight in own.height_sights if sight.drone_id in sure), t)
-        self._divergence.see(t, self._flown, own.velocity, usable=why not in MOVES_UNKNOWN)
+        self._heights.add_sights((sight for sight in own.height_sights if sight.drone_id in sure), t)
+        self._divergence.add_sample(t, self._flown, own.velocity, usable=why not in MOVES_UNKNOWN)
         watches = (Why.HEIGHT_DOUBT, self._heights.doubt), (Why.DIVERGES, self._divergence.doubt(t))
         return next(((doubt, text) for doubt, text in watches if text is not None), None)
 

@@ -57,7 +57,7 @@ class HeightWatch:
         self._references = references
         self._rows: dict[int, _Row] = {}
 
-    def see(self, sights: Iterable[HeightSight], t: float) -> None:
+    def add_sights(self, sights: Iterable[HeightSight], t: float) -> None:
         """Of teammates that are surely named; the same sight twice counts once. t [s]: now."""
         if any(abs(t - row.taken_t) > HEIGHT_DRIFT_STALE_S for row in self._rows.values()):
             self._rows = {
@@ -72,7 +72,7 @@ class HeightWatch:
             if row is None or row.word != sight.word:
                 self._rows[sight.drone_id] = _Row(sight)
             elif row.t < sight.t:
-                row.see(sight)
+                row.add_sight(sight)
 
     def knows(self, drone_id: int) -> bool:
         """Whether a drift against that teammate is being watched."""
@@ -118,7 +118,7 @@ class _Row:
     def sigma(self) -> float:
         return math.sqrt(max(float(self.P[DRIFT, DRIFT]), 0.0))
 
-    def see(self, sight: HeightSight) -> None:
+    def add_sight(self, sight: HeightSight) -> None:
         self._predict(sight.t - self.t)
         self.t = sight.t
         H = np.array([1.0, 0.0, 1.0, sight.level, sight.lever])

@@ -48,7 +48,7 @@ class ReferenceWatch:
         self.trusted = self.entering = False
         self._track = self._sure_since = None
 
-    def see(self, entry: IdentifiedTrack, state: RelativeState, own: OwnFlight, t: float) -> None:
+    def observe(self, entry: IdentifiedTrack, state: RelativeState, own: OwnFlight, t: float) -> None:
         """It bears the name now."""
         self.camera = entry.track.camera
         coasting = entry.track.coasting_since

@@ -73,7 +73,7 @@ class SparingLog(logging.LoggerAdapter[logging.Logger]):
         self._said: dict[str, float] = {}
         self._unsaid: dict[str, int] = {}
 
-    def say(self, kind: str, text: str, *, bug: BaseException | None = None) -> None:
+    def log_limited(self, kind: str, text: str, *, bug: BaseException | None = None) -> None:
         """bug: shown with where it came from."""
         now = self._now()
         if now - self._said.get(kind, -SAY_AGAIN_S) < SAY_AGAIN_S:
@@ -90,15 +90,15 @@ class SparingLog(logging.LoggerAdapter[logging.Logger]):
         sentence = str(msg) % args
         if isinstance(error, HttpProcessingError):
             reason = plain(error.message.split("\n", maxsplit=1)[0], 120)
-            self.say("malformed", f"a malformed request was refused ({sentence}: {reason})")
+            self.log_limited("malformed", f"a malformed request was refused ({sentence}: {reason})")
         else:
-            self.say("bug", sentence, bug=error if isinstance(error, BaseException) else None)
+            self.log_limited("bug", sentence, bug=error if isinstance(error, BaseException) else None)
 
     def on_loop_error(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """For the event loop: a connection that breaks is its own affair, all else is shown."""
         error = context.get("exception")
         if isinstance(error, OSError):
-            self.say("broken", f"a connection broke: {plain(str(error))}")
+            self.log_limited("broken", f"a connection broke: {plain(str(error))}")
         else:
             loop.default_exception_handler(context)
 
@@ -194,7 +194,7 @@ class Entrance:
             except ConnectionError:  # it left while it waited
                 continue
             except OSError as error:
-                self._trouble.say(
+                self._trouble.log_limited(
                     "full", f"no viewer can connect: {error.strerror} (see ulimit -n); trying again"
                 )
                 self._make_room(MAX_CONNECTIONS // 2)

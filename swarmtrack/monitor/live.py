@@ -94,7 +94,7 @@ class LiveFeed:
         due = loop.time()
         while True:
             if self._last is None:
-                self._team.look()  # unwatched, too: events have their times, and the gone their age
+                self._team.refresh()  # unwatched, too: events have their times, and the gone their age
             if audience.is_there:
                 self._tell(audience)
             due = max(due + 1.0 / STATE_HZ, loop.time())
@@ -102,7 +102,7 @@ class LiveFeed:
 
     def _tell(self, audience: Audience) -> None:
         with self._team.leaves_out("the team's state"):
-            audience.tell(self._last or self._team.state())
+            audience.broadcast(self._last or self._team.state())
             return
         self._team.forget_untellable()  # and the next one is told
 

@@ -161,12 +161,14 @@ class DroneRecording:
             return
         jpeg = jpeg_of(data)
         if jpeg is not None and _is_due(self._pictures[camera], t):
-            self._pictures[camera].append(_View(t, self._view(frame[1], camera), self._blob_file.put(jpeg)))
+            self._pictures[camera].append(
+                _View(t, self._view(frame[1], camera), self._blob_file.append(jpeg))
+            )
 
     def _on_scan(self, data: bytes, t: float) -> None:
         scan = _DECODE_SCAN(data)
         exposed, camera = scan.t_s, scan.camera
-        self.tracked.add(exposed + self._offset, self._blob_file.put(data), t)
+        self.tracked.add(exposed + self._offset, self._blob_file.append(data), t)
         if camera < len(self._cameras) and _is_due(self._scans[camera], t):
             self._scans[camera].append(_View(t, self._view(exposed, camera), None))
         observer = self._ego.steady(exposed)

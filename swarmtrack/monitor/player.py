@@ -116,7 +116,7 @@ class Playback:
         while self.step < step:
             self._take_step(self.step + 1)
 
-    def seen(self, drone_id: int, camera: int = 0) -> tuple[VideoMessage, TracksMessage | None] | None:
+    def view(self, drone_id: int, camera: int = 0) -> tuple[VideoMessage, TracksMessage | None] | None:
         """What a drone's camera shows now, with its picture, and what it tracked then."""
         view = self.views.get((drone_id, camera))
         if view is None:
@@ -144,7 +144,7 @@ class Playback:
             if view is not None:
                 scene.views[view.key] = View(event.t, view.message, event.picture)
         scene.clock.t = end
-        scene.team.look()
+        scene.team.refresh()
         self.step = step
         if step == len(self._checkpoints) * STEPS_PER_CHECKPOINT:
             self._checkpoints.append(pickle.dumps(scene))
@@ -233,13 +233,13 @@ class RecordingPlayer:
             if key in audience.watched and self._shown.get(key) != view.t:
                 self._shown[key] = view.t
                 with playback.team.leaves_out("a picture", key[0]):
-                    seen = playback.seen(*key)
+                    seen = playback.view(*key)
                     if seen is not None:
                         audience.show(key, seen[0], boxes(*seen, key[1], playback.rig(key[0])))
 
     def _tell(self, audience: Audience) -> None:
         with self._playback.team.leaves_out("the team's state"):
-            audience.tell(self._state(audience.watched))
+            audience.broadcast(self._state(audience.watched))
             return
         self._playback.team.forget_untellable()
 

@@ -141,12 +141,12 @@ class _SwarmRecording:
             case Kind.TRACKS:
                 head = msgspec.msgpack.decode(heard.payload, type=_TracksHead)
                 tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))
-                tracked.add(head.t_utc_s, self._blob_file.put(heard.payload), t)
+                tracked.add(head.t_utc_s, self._blob_file.append(heard.payload), t)
                 return TimelineEvent(t, drone_id, None)
             case Kind.VIDEO:
                 view = codec.decode(VideoMessage, heard.payload)
                 payload = codec.encode(msgspec.structs.replace(view, jpeg=b""))
-                picture = self._blob_file.put(view.jpeg) if view.jpeg else None
+                picture = self._blob_file.append(view.jpeg) if view.jpeg else None
                 return TimelineEvent(t, drone_id, sample._replace(payload=payload), picture)
         return TimelineEvent(t, drone_id, sample)
 

@@ -45,7 +45,7 @@ class Audience(Protocol):
     def watched(self) -> frozenset[ViewKey]:
         """Whose pictures somebody has on the screen."""
 
-    def tell(self, state: dict[str, Any]) -> None: ...
+    def broadcast(self, state: dict[str, Any]) -> None: ...
     def show(self, key: ViewKey, view: VideoMessage, boxes: list[dict[str, Any]]) -> None: ...
 
 
@@ -79,7 +79,7 @@ class OpenPage:
         self._drawn = asyncio.Event()
         self._unacknowledged = 0
 
-    def give(self, slot: str | ViewKey, message: str | bytes) -> None:
+    def offer(self, slot: str | ViewKey, message: str | bytes) -> None:
         """The newest of its kind; it is sent once the viewer has drawn what it has."""
         self.replaced += slot in self._waiting
         self._waiting[slot] = message
@@ -139,10 +139,10 @@ class MonitorServer:
     def watched(self) -> frozenset[ViewKey]:
         return frozenset().union(*(viewer.watched for viewer in self._viewers))
 
-    def tell(self, state: dict[str, Any]) -> None:
+    def broadcast(self, state: dict[str, Any]) -> None:
         text = json.dumps(state, allow_nan=False, separators=(",", ":"))
         for viewer in self._viewers:
-            viewer.give("state", text)
+            viewer.offer("state", text)
 
     def show(self, key: ViewKey, view: VideoMessage, boxes: list[dict[str, Any]]) -> None:
         drone_id, camera = key
@@ -157,7 +157,7 @@ class MonitorServer:
         message = struct.pack("<I", len(text)) + text + view.jpeg
         for viewer in self._viewers:
             if key in viewer.watched:
-                viewer.give(key, message)
+                viewer.offer(key, message)
 
     # --- serving ------------------------------------------------------------------------
 

@@ -195,7 +195,7 @@ class MonitoredTeam:
 
     def state(self) -> dict[str, Any]:
         """Everything the page shows but pictures; JSON, units in the names where they are not plain."""
-        self.look()
+        self.refresh()
         now = self._clock.now()
         kind, text, also = self._sentence(self._verdict)
         return {
@@ -242,7 +242,7 @@ class MonitoredTeam:
         drone = self._drones.get(drone_id)
         return None if drone is None or camera not in drone.views else drone.views[camera][1]
 
-    def look(self) -> None:
+    def refresh(self) -> None:
         """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
         with self.leaves_out("the table of identities"):
             self._look(self._clock.now())
@@ -253,7 +253,7 @@ class MonitoredTeam:
         self._find_the_gone(now)
         if now - self._judged_at >= JUDGING_S:
             self._judged_at = now
-            self._verdict = self._reports.judge(filter(self.is_alive, self._drones), now)
+            self._verdict = self._reports.evaluate(filter(self.is_alive, self._drones), now)
         kind, text, _ = self._sentence(self._verdict)
         if text != self._light:
             self._light = text
@@ -338,7 +338,7 @@ class MonitoredTeam:
     def _gone(self, drone_id: int, drone: Drone, since: float) -> None:
         if drone.gone_since is None:
             drone.gone_since = since
-            self._reports.forget(drone_id)
+            self._reports.remove(drone_id)
             self._note(drone_id, "is gone", "warn")
 
     def _note(self, drone_id: int | None, text: str, kind: str) -> None:

@@ -34,7 +34,7 @@ class BlobFile:
         self._file = tempfile.TemporaryFile(prefix="swarmtrack-")  # noqa: SIM115 - it lives as long as we do
         self._size = 0
 
-    def put(self, data: bytes) -> Blob:
+    def append(self, data: bytes) -> Blob:
         """Raises RecordingError where the disk takes no more."""
         try:
             self._file.write(data)

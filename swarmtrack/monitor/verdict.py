@@ -60,14 +60,14 @@ class Reports:
         while said[0].t < report.t - VERDICT_MEMORY_S:
             said.popleft()
 
-    def forget(self, drone_id: int) -> None:
+    def remove(self, drone_id: int) -> None:
         self._reports.pop(drone_id, None)
 
     def newest(self, drone_id: int) -> SightingReport | None:
         said = self._reports.get(drone_id)
         return said[-1] if said else None
 
-    def judge(self, alive: Iterable[int], now: float) -> TeamVerdict:
+    def evaluate(self, alive: Iterable[int], now: float) -> TeamVerdict:
         """Of the drones that live."""
         lives = frozenset(alive)
         there = [drone_id for drone_id in lives if drone_id in self._reports]

@@ -150,7 +150,7 @@ class EgoHistory:
         if self._poses and pose.t <= self._poses[-1].t - self.history_s:
             self.out_of_order += 1
             return
-        self.heading.see(pose)
+        self.heading.add_pose(pose)
         turn = self._connect_heading(pose)
         place = self._place(pose)
         if place is None:

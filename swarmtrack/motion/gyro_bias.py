@@ -86,7 +86,7 @@ class GyroBias:
         """What it refused."""
         return {"attitudes_refused": self.refused}
 
-    def see(self, t: float, world_from_camera: Array, sigma: float) -> None:
+    def add_attitude(self, t: float, world_from_camera: Array, sigma: float) -> None:
         """The autopilot's attitude at t: world_from_camera (3, 3), its sigma [rad] per axis."""
         if not self._estimates:
             return

@@ -62,7 +62,7 @@ class HeadingKnowledge:
         self._is_told = True
         self._since = state.airborne_since
 
-    def see(self, pose: EgoPose) -> None:
+    def add_pose(self, pose: EgoPose) -> None:
         """A pose of the autopilot. One that never says whether it flies does so when it has left its place."""
         if self._is_told or self._since is not None or pose.position is None:
             return
@@ -134,7 +134,7 @@ class HeadingSteps:
         self._last = None
         self._compared.clear()
 
-    def see(self, pose: EgoPose) -> list[float]:
+    def add_pose(self, pose: EgoPose) -> list[float]:
         """An attitude, which waits until the gyro has reached it. Returns the steps that were found meanwhile [rad],
         clockwise from above."""
         if not self._waiting or pose.t > self._waiting[-1][0]:

@@ -126,11 +126,11 @@ class CameraClock:
         self._newest = stamp
         return stamp + self.used_s
 
-    def see(self, stamp: float, scan: Scan, camera: PinholeCamera) -> None:
+    def add_scan(self, stamp: float, scan: Scan, camera: PinholeCamera) -> None:
         """What a scan with that stamp measured."""
         if self._evidence is None:
             return
-        self._evidence.see(stamp, *bearings_of(scan, camera))
+        self._evidence.add_bearings(stamp, *bearings_of(scan, camera))
 
 
 class _Bearings(NamedTuple):
@@ -158,7 +158,7 @@ class TimeOffset:
         self.estimate: OffsetEstimate | None = None
         """The likeliest offset; None while nothing was learned of it, or it lies at the end of what is searched."""
 
-    def see(self, t: float, bearings: Array, variance: Array) -> None:
+    def add_bearings(self, t: float, bearings: Array, variance: Array) -> None:
         """A scan stamped t saw bearings (m, 3), unit vectors, of variance (m,) rad² per axis."""
         if self._waiting and t <= self._waiting[-1].t:
             return

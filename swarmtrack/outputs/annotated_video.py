@@ -163,7 +163,7 @@ class AnnotatedVideo:
         self._trails = Trails()
         self.dropped = 0
 
-    def keep(self, frame: Frame) -> None:
+    def add_frame(self, frame: Frame) -> None:
         """Remember a frame until its scan is reported."""
         self._frames.append(frame)
 

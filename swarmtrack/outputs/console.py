@@ -46,7 +46,7 @@ class Console:
         self._seen: dict[Identity, TimeInView] = {}
         self._report: ScanReport | None = None
 
-    def see(self, report: ScanReport) -> None:
+    def on_scan(self, report: ScanReport) -> None:
         """Take note of a scan."""
         t = report.tracks.t
         self._start = t if self._start is None else self._start

@@ -108,7 +108,7 @@ class PilotNotices:
 
     # ── what happens ─────────────────────────────────────────────────────────────────────────────────────────────
 
-    def see(self, report: ScanReport) -> None:
+    def on_scan(self, report: ScanReport) -> None:
         """A scan was tracked."""
         self._scan, self._scan_at = report, self._wall.now()
 
@@ -166,7 +166,7 @@ class PilotNotices:
                 self._number_at = now
                 named = len({entry.identity for entry in self._named(now)})
                 self._look_for_news(named, now)
-                self._autopilot.tell(named_value(now, TRACK_COUNT_NAME, named))
+                self._autopilot.send_message(named_value(now, TRACK_COUNT_NAME, named))
             self._say_line(now)
         if self._boxes:
             self._show(now)
@@ -226,18 +226,18 @@ class PilotNotices:
         if line is None or self._autopilot is None:
             return
         number = self._texts_sent % 65535 + 1
-        if all(self._autopilot.tell(m) for m in status_text(line.severity, line.text, number)):
+        if all(self._autopilot.send_message(m) for m in status_text(line.severity, line.text, number)):
             self._texts_sent += 1
-            self.lines.said()
+            self.lines.mark_sent()
 
     def _tell_positions(self, positions: TeammatesOnEarth, now: float) -> None:
         """Teammates on the map: each where we measure it, else where it says that it is and our camera sees it."""
         assert self._autopilot is not None
         own = self._perceived.sighting_report(self._boot, 0)
         motion = self._perceived.motion_report(self._boot, 0)
-        for found in positions.seen(self._named(now), own, motion, self._clock.now()):
+        for found in positions.in_view(self._named(now), own, motion, self._clock.now()):
             address = _address(self._team, found.drone_id)
-            self._autopilot.tell(
+            self._autopilot.send_message(
                 adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address, found.velocity)
             )
 
@@ -264,12 +264,12 @@ class PilotNotices:
         self._shown[camera] = shown
         if shown is None or self._scan is None:
             self._idle_at[camera] = now
-            self._autopilot.tell(image_status(None, device))
+            self._autopilot.send_message(image_status(None, device))
             return
         self._idle_at[camera] = -math.inf
         one = self._scan._replace(tracks=replace(self._scan.tracks, tracks=(seen[shown],)))
         for track in as_seen(one, *self._lenses):
-            self._autopilot.tell(image_status(_corners(track, self._lenses[camera]), device))
+            self._autopilot.send_message(image_status(_corners(track, self._lenses[camera]), device))
 
 
 def _address(team: str, drone_id: int) -> int:

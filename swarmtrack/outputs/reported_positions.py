@@ -36,7 +36,7 @@ class ReportedPositions:
         if report.observer in self._reports or len(self._reports) < MANY_TEAMMATES:
             self._reports[report.observer] = report
 
-    def seen(self, own: SightingReport | None, now: float) -> list[ReportedPosition]:
+    def in_view(self, own: SightingReport | None, now: float) -> list[ReportedPosition]:
         """Of all that we see where they said they are; own: what this drone sees and where it stands."""
         self._reports = {i: report for i, report in self._reports.items() if now - report.t < FRESH}
         if own is None or now - own.t > FRESH:

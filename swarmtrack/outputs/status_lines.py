@@ -71,7 +71,7 @@ class StatusLines:
             self.untold += 1
 
     def next(self, now: float) -> Line | None:
-        """The line to say now, if there is one and it is not too soon; it waits on until `said`."""
+        """The line to say now, if there is one and it is not too soon; it waits on until `mark_sent`."""
         if self._counted_at is not None:
             self._allowance = min(BURST, self._allowance + (now - self._counted_at) / LINE_EVERY)
         self._counted_at = now
@@ -80,7 +80,7 @@ class StatusLines:
             self.untold += 1
         return self._waiting[0] if self._waiting and self._allowance >= 1.0 else None
 
-    def said(self) -> None:
+    def mark_sent(self) -> None:
         """The line of `next` is out."""
         self._waiting.popleft()
         self._allowance -= 1.0

@@ -42,7 +42,7 @@ class TeammatesOnEarth:
         """A teammate says where it stands."""
         self._reported.on_report(report)
 
-    def seen(
+    def in_view(
         self,
         named: Iterable[IdentifiedTrack],
         own: SightingReport | None,
@@ -59,7 +59,7 @@ class TeammatesOnEarth:
                 state = entry.relative
                 if state is not None and self._is_firm(state, own):
                     found[state.drone_id] = self._measured(state, own, motion, now)
-        for said in self._reported.seen(own, now):
+        for said in self._reported.in_view(own, now):
             if said.drone_id not in found:
                 found[said.drone_id] = PlaceOnEarth(
                     said.drone_id, said.position, said.age, velocity=None, measured=False

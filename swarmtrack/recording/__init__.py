@@ -1,1 +1,1 @@
-"""Recordings: MCAP files that hold what a drone was told, in its order, and what it made of it (docs/recording.md)."""
+"""Recordings: MCAP files with the inputs of a drone, in order, and its outputs (docs/recording.md)."""

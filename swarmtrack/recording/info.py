@@ -1,4 +1,4 @@
-"""What a recording holds: topics, counts, rates, gaps, and what is damaged."""
+"""Contents of a recording: topics, counts, rates, gaps, and damage."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ HEADLINE_KEYS = (
 
 @dataclass(slots=True)
 class TopicSummary:
-    """Times [ns, UTC]."""
+    """Messages of one topic. Times [ns, UTC]."""
 
     schema: str
     count: int = 0
@@ -53,7 +53,7 @@ class TopicSummary:
 
 @dataclass(slots=True)
 class Summary:
-    """All of one recording."""
+    """Summary of a whole recording."""
 
     folder: str
     preface: Mapping[str, str]
@@ -75,7 +75,7 @@ class Summary:
         return [f"{name} {what}" for name, _, what in self.files if what]
 
     def as_record(self) -> dict[str, Any]:
-        """For JSON."""
+        """The summary as a record for JSON."""
         return {
             "folder": self.folder,
             **{key: self.preface[key] for key in HEADLINE_KEYS if key in self.preface},
@@ -97,7 +97,7 @@ class Summary:
 
 
 def summarise(recording: Recording) -> Summary:
-    """Reads all of it."""
+    """Read a whole recording and summarise it."""
     topics: dict[str, TopicSummary] = {}
     for segment in recording.segments:
         _count(topics, segment.messages(), segment.schemas)

@@ -1,8 +1,8 @@
-"""Everything that Onboard is told, as JSON and back without losing a bit.
+"""Inputs of `Onboard` as JSON and back, without losing a bit.
 
-Each kind has a topic and a form: which attribute of the message stands under which key, with its unit. A float is
-written with as many digits as bring it back exactly; NaN and infinity, which JSON does not have, are the strings "nan",
-"inf" and "-inf". Every record counts on in `n`, so a gap is seen.
+Each kind has a topic and a form: a key with its unit for each attribute of the message. A float is written with enough
+digits to restore it exactly; NaN and infinity, which JSON does not have, are the strings "nan", "inf" and "-inf".
+Every record carries a running number `n`, so a gap is visible.
 """
 
 from __future__ import annotations
@@ -36,9 +36,10 @@ from swarmtrack.messages import (
 
 
 class Entry(NamedTuple):
-    """One attribute of a message under its key. shape: of an array, -1 for however many; form: of a nested message;
-    added: to the form, later: earlier records lack it, and mean the attribute's default. sparse: and so do later ones
-    where it is 0."""
+    """One attribute of a message under its key. shape: of an array, -1 for any length; form: of a nested message;
+    added: to the form later, so that earlier records lack it and mean the attribute's default; sparse: absent from
+    later records as well where it is 0.
+    """
 
     attribute: str
     key: str
@@ -50,7 +51,7 @@ class Entry(NamedTuple):
 
 
 class Form(NamedTuple):
-    """How a kind of message is written."""
+    """Serialised form of one kind of message."""
 
     topic: str
     schema: str
@@ -216,12 +217,12 @@ _DECODER = msgspec.json.Decoder(dict[str, Any])
 
 
 def encode(n: int, event: Input) -> bytes:
-    """The record of an event, the n-th of a recording."""
+    """Record of an event, the n-th of a recording."""
     return _ENCODER.encode({"n": n, **_fields(FORM_OF_KIND[type(event)], event)})
 
 
 def decode(topic: str, data: bytes) -> tuple[int, Input]:
-    """The number of a record and its event. Raises RecordingError where it is not what was written."""
+    """Number and event of a record. Raises RecordingError for a malformed one."""
     try:
         record = _DECODER.decode(data)
         return record["n"], _READERS[topic](record)
@@ -231,12 +232,12 @@ def decode(topic: str, data: bytes) -> tuple[int, Input]:
 
 
 def plain(value: float) -> float | str:
-    """A number as JSON can hold it."""
+    """A number in a form that JSON can hold."""
     return value if math.isfinite(value) else str(value)
 
 
 def numbers(array: Any) -> Any:
-    """An array of whatever shape as nested lists."""
+    """An array of any shape as nested lists."""
     if np.isfinite(array).all():
         return array.tolist()
     return [numbers(part) if np.ndim(part) else plain(float(part)) for part in array]

@@ -1,10 +1,10 @@
-"""Several recordings as one, on one timeline.
+"""Several recordings merged on one timeline.
 
-Theory of operation. Each drone's times are its own clock's. Who sees whom is told to the team with a running number,
-and both ends of that are recorded: when the sender exposed what it tells of, on its clock, and the same instant as its
-hearer reckoned it, on the hearer's. A message that came late is reckoned too late, never too early, so the least
-difference is the nearest to the truth; where both hear each other, half of the two least ones cancels what delay was
-left. Recordings that share no message are laid side by side by UTC as each knew it.
+Theory of operation. Each drone's times are on its own clock. Sightings are sent to the team with a running number, and
+both ends of each are recorded: the exposure on the sender's clock, and the same instant as the receiver reconstructed
+it on its own. A late message is reconstructed too late, never too early, so the smallest difference is nearest to the
+truth; where both drones receive each other, half of the two smallest differences cancels the remaining delay.
+Recordings that share no message are aligned by each one's estimate of UTC.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Said = tuple[int, str, int]  # who, which life, number
 
 
 class Shift(NamedTuple):
-    """What is added to a recording's times to bring them to those of the first; by: "messages" or "UTC"."""
+    """Offset from a recording's times to those of the first; by: "messages" or "UTC"."""
 
     seconds: float
     by: str
@@ -38,13 +38,13 @@ class Shift(NamedTuple):
 
 @dataclass(slots=True)
 class Hearsay:
-    """What one recording knows of sightings told: when they were exposed, by its clock [s]."""
+    """Sightings sent and received in one recording: their exposures, by its clock [s]."""
 
     said: dict[Said, float] = field(default_factory=dict)
     heard: dict[Said, float] = field(default_factory=dict)
 
     def note(self, message: Message) -> None:
-        """Any message of a drone's recording."""
+        """Take note of any message of a drone's recording."""
         if message.topic == SAID_TOPIC:
             record = msgspec.json.decode(message.data)
             self.said[record["drone_id"], record["boot"], record["sequence"]] = float(record["t_s"])
@@ -54,7 +54,7 @@ class Hearsay:
 
 
 def shifts(recordings: Sequence[Recording]) -> list[Shift]:
-    """Of each, in order; the first is 0."""
+    """Offset of each recording, in order; the first is 0."""
     hearsay = []
     for recording in recordings:
         hearsay.append(Hearsay())
@@ -64,7 +64,9 @@ def shifts(recordings: Sequence[Recording]) -> list[Shift]:
 
 
 def shifts_by(hearsay: Sequence[Hearsay], utc: Sequence[float]) -> list[Shift]:
-    """Of each recording, by what it said and heard. utc: UTC minus its monotonic clock, as each knew it [s]."""
+    """Offset of each recording, from the messages that it sent and received. utc: its estimate of UTC minus its
+    monotonic clock [s].
+    """
     found: dict[int, float] = {0: 0.0}  # a clock minus the first one's
     waiting = deque([0])
     while waiting:
@@ -80,7 +82,7 @@ def shifts_by(hearsay: Sequence[Hearsay], utc: Sequence[float]) -> list[Shift]:
 
 
 def merge(recordings: Sequence[Recording], target: Path) -> tuple[list[Shift], int]:
-    """Write one file; the topics of each recording under /drone-N or /swarm. Raises RecordingError."""
+    """Write one file with the topics of each recording under /drone-N or /swarm. Raises RecordingError."""
     names = _names(recordings)
     moved = shifts(recordings)
     streams = [
@@ -155,7 +157,7 @@ def _names(recordings: Sequence[Recording]) -> list[str]:
 
 
 def utc_offset(recording: Recording) -> float:
-    """UTC minus its monotonic clock [s], as it knew it at the beginning."""
+    """A recording's first estimate of UTC minus its monotonic clock [s]."""
     return float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
 
 

@@ -1,4 +1,4 @@
-"""What a drone made of its inputs: the tracks of every scan, in full, and digests by which a replay is compared."""
+"""Outputs of a drone: the tracks of every scan, in full, and digests that a replay is compared with."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _DECODER = msgspec.json.Decoder(dict[str, Any])
 
 
 def image_topic(camera: int) -> str:
-    """Of the pictures of a camera, by its place in the config."""
+    """Topic of one camera's images, by its index in the config."""
     return IMAGES_TOPIC if camera == 0 else f"/camera/{camera + 1}/image"
 
 
 def digest(tracks: TrackList) -> str:
-    """16 hex digits of every bit that a list of tracks says."""
+    """16 hex digits over every bit of a list of tracks."""
     state = hashlib.blake2b(digest_size=8)
     state.update(struct.pack("<dd", tracks.t, tracks.scan_t))
     for entry in tracks.tracks:
@@ -47,7 +47,7 @@ def digest(tracks: TrackList) -> str:
 
 
 def relative_digest(tracks: TrackList) -> str:
-    """16 hex digits of every bit of where teammates are, in metres: apart, as older recordings tell nothing of it."""
+    """16 hex digits over every bit of the relative states; separate, because older recordings do not have them."""
     state = hashlib.blake2b(digest_size=8)
     for entry in tracks.tracks:
         found = entry.relative
@@ -74,7 +74,7 @@ def encode_report(report: ScanReport) -> bytes:
 
 
 class RecordedReport(NamedTuple):
-    """The report of a scan, and its digests as they were in flight; relative_digest: None of an older recording."""
+    """Report of a scan with its digests as computed in flight; relative_digest: None in an older recording."""
 
     digest: str
     relative_digest: str | None
@@ -82,7 +82,7 @@ class RecordedReport(NamedTuple):
 
 
 def decode_report(data: bytes) -> RecordedReport:
-    """Raises RecordingError."""
+    """Inverse of the report's encoding. Raises RecordingError."""
     try:
         record = _DECODER.decode(data)
         t = float(record["t_s"])
@@ -94,14 +94,14 @@ def decode_report(data: bytes) -> RecordedReport:
 
 
 def encode_asked(n: int, tracks: TrackList) -> bytes:
-    """That somebody asked for the tracks as of `tracks.t`: an input as well, the n-th of the recording."""
+    """Record of a query for the tracks as of `tracks.t`: an input as well, the n-th of the recording."""
     return _ENCODER.encode(
         {"n": n, "t_s": tracks.t, "digest": digest(tracks), "tracks": len(tracks.tracks)},
     )
 
 
 def decode_asked(data: bytes) -> tuple[int, float, str]:
-    """The number of the input, when tracks were asked for, and the digest of the answer. Raises RecordingError."""
+    """Number and time of a recorded query for tracks, and the digest of its answer. Raises RecordingError."""
     try:
         record = _DECODER.decode(data)
         return record["n"], float(record["t_s"]), str(record["digest"])
@@ -110,7 +110,7 @@ def decode_asked(data: bytes) -> tuple[int, float, str]:
 
 
 class RecordedCommand(NamedTuple):
-    """The n-th input: that a setpoint was asked for as of t, with what, and the digest of the answer."""
+    """The n-th input, a query for a set point as of t: its arguments, and the digest of the answer."""
 
     n: int
     t: float
@@ -119,7 +119,7 @@ class RecordedCommand(NamedTuple):
 
 
 def setpoint_digest(told: LocalSetpoint) -> str:
-    """16 hex digits of every bit of a setpoint, and of why."""
+    """16 hex digits over every bit of a set point and its reason."""
     setpoint = told.setpoint
     state = hashlib.blake2b(f"{setpoint.why} {setpoint.clear_of}".encode(), digest_size=8)
     state.update(struct.pack("<8d", setpoint.t, *told.velocity, *setpoint.velocity, told.yaw_rate))
@@ -127,7 +127,7 @@ def setpoint_digest(told: LocalSetpoint) -> str:
 
 
 def encode_command(n: int, engagement: Engagement, told: LocalSetpoint) -> bytes:
-    """That a setpoint was asked for is an input, too: the n-th of the recording."""
+    """Record of a query for a set point: an input as well, the n-th of the recording."""
     setpoint = told.setpoint
     return _ENCODER.encode(
         {
@@ -148,7 +148,7 @@ def encode_command(n: int, engagement: Engagement, told: LocalSetpoint) -> bytes
 
 
 def decode_command(data: bytes) -> RecordedCommand:
-    """Raises RecordingError."""
+    """Inverse of `encode_command`. Raises RecordingError."""
     try:
         record = _DECODER.decode(data)
         engagement = Engagement(int(record["engagement"]), bool(record["clock_known"]))

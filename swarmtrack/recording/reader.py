@@ -1,7 +1,7 @@
-"""Reads recordings, complete or cut off: whatever is whole comes out, and what is not is told.
+"""Reader of recordings, complete or cut off: delivers every intact message and reports damage.
 
-`mcap`'s own readers want an index at the end of the file, or stop with an exception in the middle of a chunk. A live or
-broken recording has no index, so files are read from their beginning, record by record, in the order of writing.
+`mcap`'s own readers want an index at the end of the file, or stop with an exception in the middle of a chunk. A live
+or broken recording has no index, so files are read from their beginning, record by record, in the order of writing.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Message(NamedTuple):
 
 @dataclass(slots=True)
 class Segment:
-    """One file, to be iterated over once or more; what else was found is known after the iteration."""
+    """One file, which may be iterated several times; damage and metadata are known after the iteration."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -76,7 +76,9 @@ class Segment:
     _noted: int = 0
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """In the order of writing, of these topics (None: of all). Raises RecordingError for other files than MCAP."""
+        """Messages of these topics (None: all) in the order of writing. Raises RecordingError for a file that is not
+        MCAP.
+        """
         try:
             file: IO[bytes] = self.path.open("rb", buffering=READ_AHEAD_BYTES)
         except OSError as error:
@@ -173,7 +175,7 @@ class Segment:
 
 @dataclass(slots=True)
 class Recording:
-    """One life of one process: its segments in order."""
+    """Recording of one run of one process: its segments in order."""
 
     folder: Path
     segments: list[Segment]
@@ -182,7 +184,7 @@ class Recording:
 
     @property
     def kind(self) -> str:
-        """ "drone", or "swarm" for what `swarmtrack record` and `sim` heard of all."""
+        """ "drone", or "swarm" for what `swarmtrack record` and `sim` received from the team."""
         return self.preface["kind"]
 
     @property
@@ -191,26 +193,26 @@ class Recording:
 
     @property
     def first_segment(self) -> int:
-        """1 where it is whole; more where the oldest segments gave way to newer ones."""
+        """Number of the first segment: 1 if complete, more where the oldest segments were deleted."""
         return int(self.preface["segment"])
 
     @property
     def damage(self) -> list[str]:
-        """What is wrong with its files, a sentence each; known after they were read."""
+        """Damage of its files, a sentence each; known after they were read."""
         return [f"{segment.path} {segment.damage}" for segment in self.segments if segment.damage]
 
     @property
     def is_simulated_flight(self) -> bool:
-        """Whether it is what was heard of one, whose truth is known."""
+        """Whether it is of a simulated flight, with its truth."""
         return self.kind == "swarm" and FLIGHT_PLAN in self.attachments
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[Message]:
-        """Of all segments; topics: of these only."""
+        """Messages of all segments; topics: of these only."""
         for segment in self.segments:
             yield from segment.messages(topics)
 
     def attached(self, name: str) -> Any:
-        """An attachment in JSON. Raises RecordingError."""
+        """A JSON attachment. Raises RecordingError."""
         try:
             return json.loads(self.attachments[name].data)
         except (KeyError, ValueError, RecursionError, MemoryError):
@@ -236,7 +238,7 @@ def files_below(path: Path) -> list[Path]:
 
 
 def recordings_below(*paths: Path) -> list[Recording]:
-    """Every recording at or below these paths, by folder. Raises RecordingError for files that are none of ours."""
+    """Every recording at or below these paths, by folder. Raises RecordingError for files of another origin."""
     by_folder: dict[Path, dict[str, Path]] = {}
     for file in (file for path in paths for file in files_below(path)):
         by_folder.setdefault(file.parent.absolute(), {}).setdefault(file.name, file)

@@ -1,4 +1,4 @@
-"""The records of an MCAP file, taken apart with bounds: a file from elsewhere may claim anything.
+"""The records of an MCAP file, parsed with bounds: an untrusted file may contain anything.
 
 `mcap`'s own parsers believe every length that they read, and the size that a compressed chunk claims for itself. Here a
 field that ends beyond its record is a ValueError, and what is unpacked is bounded before it is.
@@ -23,13 +23,13 @@ from swarmtrack.recording.limits import (
 
 
 class Fields:
-    """What stands in a record, one field after the other. Raises ValueError where one ends beyond it."""
+    """Fields of a record, read one after the other. Raises ValueError where one ends beyond the record."""
 
     def __init__(self, body: bytes) -> None:
         self._body = body
         self._at = 0
 
-    def take(self, size: int) -> bytes:
+    def read(self, size: int) -> bytes:
         end = self._at + size
         if end > len(self._body):
             raise ValueError("a field that ends beyond its record")
@@ -37,18 +37,18 @@ class Fields:
         return field
 
     def number(self, size: int) -> int:
-        """Of `size` bytes."""
-        return int.from_bytes(self.take(size), "little")
+        """Unsigned integer of `size` bytes."""
+        return int.from_bytes(self.read(size), "little")
 
     def text(self) -> str:
-        return self.take(self.number(4)).decode()
+        return self.read(self.number(4)).decode()
 
     def name(self) -> str:
         return plain(self.text(), LONGEST_RECORD_NAME)
 
     def entries(self) -> dict[str, str]:
-        """A map of texts."""
-        inner = Fields(self.take(self.number(4)))
+        """A map of strings."""
+        inner = Fields(self.read(self.number(4)))
         entries = {}
         while inner._at < len(inner._body):
             key = inner.name()
@@ -59,7 +59,7 @@ class Fields:
 def read_schema(body: bytes) -> Schema:
     fields = _noted(body, "a schema")
     number, name, encoding = fields.number(2), fields.name(), fields.name()
-    return Schema(id=number, name=name, encoding=encoding, data=fields.take(fields.number(4)))
+    return Schema(id=number, name=name, encoding=encoding, data=fields.read(fields.number(4)))
 
 
 def read_channel(body: bytes) -> Channel:
@@ -83,7 +83,7 @@ def read_attachment(body: bytes) -> Attachment:
     fields = Fields(body)
     log_time, create_time = fields.number(8), fields.number(8)
     name, media_type = fields.name(), fields.name()
-    data = fields.take(fields.number(8))
+    data = fields.read(fields.number(8))
     return Attachment(create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data)
 
 
@@ -94,7 +94,7 @@ def _noted(body: bytes, what: str) -> Fields:
 
 
 def check_end(body: bytes, checksum: int) -> None:
-    """What closes the data. checksum: CRC of all that stands before it. Raises ValueError."""
+    """Check the end-of-data record. checksum: CRC of all bytes before it. Raises ValueError."""
     fields = Fields(body)
     written = fields.number(4)
     if written and written != checksum:
@@ -105,10 +105,10 @@ _CHUNK = struct.Struct("<QQQI")  # first and last log time, bytes unpacked, thei
 
 
 def unpacked_chunk(body: bytes) -> bytes:
-    """The records in a chunk. Raises ValueError, or ZstdError for what is none of zstd's."""
+    """Records of a chunk. Raises ValueError, or ZstdError for invalid compressed data."""
     fields = Fields(body)
-    _, _, size, checksum = _CHUNK.unpack(fields.take(_CHUNK.size))
-    compression, packed = fields.name(), fields.take(fields.number(8))
+    _, _, size, checksum = _CHUNK.unpack(fields.read(_CHUNK.size))
+    compression, packed = fields.name(), fields.read(fields.number(8))
     if size > LARGEST_CHUNK_BYTES:
         raise ValueError(f"a chunk of {size} bytes, expected {LARGEST_CHUNK_BYTES} at most")
     match compression:

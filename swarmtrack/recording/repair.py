@@ -1,4 +1,4 @@
-"""Makes a complete, indexed file of one that was cut off."""
+"""Repair of a recording that was cut off: makes a complete, indexed file of it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ORIGINAL = ".cut"
 
 
 class Repaired(NamedTuple):
-    """target: the complete file; damage: of the original, in words; messages: that were saved."""
+    """target: the complete file; damage: of the original, in words; messages: number of messages saved."""
 
     target: Path
     damage: str
@@ -47,7 +47,7 @@ def repair(path: Path) -> Repaired | None:
 
 
 def rewrite(segment: Segment, target: Path) -> int:
-    """Everything of a segment that can be read into a new file; how many messages that is."""
+    """Copy everything readable of a segment into a new file; returns the number of messages."""
     with target.open("wb") as file:
         writer = Writer(file, chunk_size=RECORDING_CHUNK_BYTES)
         writer.start(profile="swarmtrack")

@@ -30,7 +30,7 @@ def table(title: str, **properties: Schema) -> Schema:
 
 
 def of_form(form: Form) -> Schema:
-    """Of an input; with its running number."""
+    """Schema of an input, with its running number."""
     return table(form.schema, n=INTEGER, **{entry.key: _of_entry(entry) for entry in form.entries})
 
 

@@ -1,4 +1,4 @@
-"""What a flight was flown with: the config, and what only the agent could resolve, into a recording and back."""
+"""Settings of a flight in a recording: the config, and what only the agent could resolve."""
 
 from __future__ import annotations
 
@@ -38,8 +38,9 @@ BOXES_OF_OLD = BoxWidth(
 
 @dataclass(frozen=True, slots=True)
 class FlightSettings:
-    """cameras: in the order of the config. start: team_from_body, None where the autopilot says it; box_width: what the
-    detector said of its boxes."""
+    """cameras: in the order of the config. start: team_from_body, None where the autopilot provides it; box_width: the
+    detector's model of its box widths.
+    """
 
     config: DroneConfig
     cameras: tuple[MountedCamera, ...]
@@ -48,7 +49,7 @@ class FlightSettings:
 
     @property
     def mounted(self) -> MountedCamera:
-        """The first camera, where only that makes sense."""
+        """The first camera, for uses with a single camera."""
         return self.cameras[0]
 
 
@@ -69,7 +70,7 @@ def preface(settings: FlightSettings, boot: str, now: float, utc: float) -> dict
 
 
 def versions() -> dict[str, str]:
-    """Of what has a say in the last bit of a result."""
+    """Versions of all software that influences the last bit of a result."""
     found = {"swarmtrack": __version__, "python": platform.python_version(), "machine": platform.machine()}
     for package in ("numpy", "scipy"):
         try:
@@ -80,7 +81,7 @@ def versions() -> dict[str, str]:
 
 
 def attachments(settings: FlightSettings) -> tuple[Attachment, ...]:
-    """The config as its files say it, the same with all defaults, and the numbers of the cameras and of the start."""
+    """The config files as written, the config with all defaults, and the numbers of the cameras and of the start."""
     start = settings.start
     first, *others = map(_camera_record, settings.cameras)
     calibration = {
@@ -100,9 +101,9 @@ def attachments(settings: FlightSettings) -> tuple[Attachment, ...]:
 def read_settings(
     recording: Recording, tracker: str | None = None, changes: Sequence[str] = ()
 ) -> tuple[FlightSettings, list[str]]:
-    """What it was flown with, changed by `key=value` as one would write it into the config; and notes for people.
+    """Settings of the flight, changed by `key=value` as written in the config; and notes for people.
 
-    Another tracker gets those of the recorded parameters that it knows. Raises RecordingError, and ConfigError as the
+    Another tracker gets those of the recorded parameters that it has. Raises RecordingError, and ConfigError as the
     config does.
     """
     table: Table = recording.attached(CONFIG)

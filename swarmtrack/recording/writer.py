@@ -1,11 +1,10 @@
-"""Writes a recording: MCAP segments in one folder, each closed, fsynced and renamed when it is complete.
+"""Writer of recordings: MCAP segments in one folder, each closed, fsynced and renamed when it is complete.
 
     0001.mcap  0002.mcap  0003.mcap.active
 
-What ends in `.active` is being written, or was when its process died; every reader here takes it as it is, and
-`swarmtrack log repair` completes it. A chunk is written whole and at least every `CHUNK_FLUSH_S`, so that a file that
-was cut holds all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recording_thread.py`
-does.
+A file that ends in `.active` is being written, or was when its process died; every reader here accepts it, and
+`swarmtrack log repair` completes it. A chunk is written whole and at least every `CHUNK_FLUSH_S`, so that a file that was cut
+contains all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recording_thread.py` does.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ PREFACE = "swarmtrack.recording"
 
 
 class Topic(NamedTuple):
-    """A channel of the file. schema: what is written into it, JSON schema or a compiled protobuf description."""
+    """A channel of the file. schema: of its messages, JSON schema or a compiled protobuf description."""
 
     name: str
     schema_name: str
@@ -47,7 +46,7 @@ class Topic(NamedTuple):
 
     @classmethod
     def well_known(cls, name: str, message: Any) -> Topic:
-        """message: one of `foxglove.messages`, which any viewer shows by itself."""
+        """Topic of a `foxglove.messages` type, which every viewer displays without a plugin."""
         schema = message.get_schema()
         return cls(name, schema.name, schema.data, "protobuf", schema.encoding)
 
@@ -61,7 +60,7 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class Preface:
-    """What every segment begins with, so that each explains itself."""
+    """Metadata at the beginning of every segment, so that each one is self-contained."""
 
     metadata: Mapping[str, str]
     attachments: tuple[Attachment, ...] = ()
@@ -69,9 +68,9 @@ class Preface:
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """segment_s: length of a segment; max_bytes: of all recordings below `root`, of this drone's former lives too.
+    """segment_s: length of a segment; max_bytes: of all recordings below `root`, including this drone's earlier runs.
 
-    drop_oldest: where that is reached the oldest segments go; else the recording stops.
+    drop_oldest: at the limit, delete the oldest segments; otherwise the recording stops.
     """
 
     root: Path
@@ -124,7 +123,7 @@ class _File:
 
 @dataclass(slots=True)
 class WriterCounters:
-    """What became of the messages."""
+    """Counters of messages written and lost."""
 
     written: int = 0
     lost: int = 0
@@ -145,7 +144,9 @@ class _Open:
 
 
 class RecordingWriter:
-    """One recording: `folder` is made and must not exist. All times `now` are seconds of one clock that never steps."""
+    """One recording: `folder` is created and must not exist. All times `now` are seconds of one clock that never
+    steps.
+    """
 
     def __init__(self, folder: Path, preface: Preface, bounds: Bounds) -> None:
         """Raises RecordingError where nothing can be written."""
@@ -173,7 +174,7 @@ class RecordingWriter:
         self._make_room()
 
     def write(self, topic: Topic, log_time_ns: int, data: bytes, now: float) -> None:
-        """Add a message; where the disk takes nothing it is counted instead."""
+        """Add a message; a message that the disk does not take is counted."""
         if self._open is None and not self._begin(now):
             self.counters.lost += 1
             return
@@ -188,7 +189,7 @@ class RecordingWriter:
         self.counters.written += 1
 
     def tick(self, now: float) -> None:
-        """To be called a few times a second: flushes, and begins a new segment when it is time."""
+        """Flush, and begin a new segment when it is due. To be called a few times per second."""
         current = self._open
         if current is None:
             return

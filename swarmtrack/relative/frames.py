@@ -67,7 +67,7 @@ class Frames:
         self._starts: dict[int, Announcement] = {}
         self._teammates: dict[int, _Teammate] = {}
 
-    def see(self, look: TeamLook) -> None:
+    def add_look(self, look: TeamLook) -> None:
         """A scan."""
         self._looks.append(look)
         while self._looks[0].t < look.t - MEMORY_S:
@@ -80,7 +80,7 @@ class Frames:
             self._starts[said.drone_id] = said
             self._teammates.pop(said.drone_id, None)
 
-    def hear(self, said: SightingReport) -> FrameNews | None:
+    def add_report(self, said: SightingReport) -> FrameNews | None:
         """Where a teammate says it is, now and then while we see it: what changed."""
         drone = said.observer
         start, sight = self._starts.get(drone), self._sight(said)

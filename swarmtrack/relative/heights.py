@@ -70,7 +70,7 @@ class SaidHeights:
         word = _Word(said.t, said.t_sigma, -float(said.position[2]))
         _remember(self._placed, said.observer, f"{said.boot} placed", word)
 
-    def forget(self, drone_id: int) -> None:
+    def remove(self, drone_id: int) -> None:
         """Nothing that was said in its name counts any more."""
         self._moved.pop(drone_id, None)
         self._placed.pop(drone_id, None)

@@ -97,8 +97,8 @@ class Metres:
 
     def forget(self, drone_id: int) -> None:
         """Nothing that was reported in its name counts any more."""
-        self._teammates.forget(drone_id)
-        self._said_heights.forget(drone_id)
+        self._teammates.reset(drone_id)
+        self._said_heights.remove(drone_id)
 
     def hear_motion(self, report: MotionReport) -> None:
         """How a teammate moves."""
@@ -111,9 +111,9 @@ class Metres:
         self._said_heights.hear_sightings(report)
         if report.observer == self._drone_id:
             return None
-        news = self._frames.hear(report)
+        news = self._frames.add_report(report)
         if news is not None:
-            self._teammates.forget(report.observer)
+            self._teammates.reset(report.observer)
         self._teammates.hear_sightings(self._frames.report_in_ours(report))
         return news
 
@@ -124,7 +124,7 @@ class Metres:
         refused = self._teammates.refused
         believed = self._teammates.hear_range(report)
         if believed or self._teammates.refused > refused:
-            return self._range_watch.see(report, believed=believed)
+            return self._range_watch.add_range(report, believed=believed)
         return None
 
     def frame_of(self, drone_id: int) -> FrameTransform | None:
@@ -151,7 +151,7 @@ class Metres:
             named = {entry.track.id for entry in tracks if isinstance(entry.identity, int)}
             self._far_off.observe(nameless.without(named))
         look = looked(named_boxes(tracks, scan, R, number))
-        self._frames.see(look)
+        self._frames.add_look(look)
         self._teammates.observe(look)
         first = observer.pose @ self._cameras[0].body_from_camera
         own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))

@@ -31,7 +31,7 @@ class RangeWatch:
         self._runs: dict[int, _Run] = {}
         self._told: set[int] = set()
 
-    def see(self, said: RangeReport, *, believed: bool) -> RangeNews | None:
+    def add_range(self, said: RangeReport, *, believed: bool) -> RangeNews | None:
         """News, where there is any."""
         run = self._runs.get(said.other)
         if run is None or run.believed != believed:

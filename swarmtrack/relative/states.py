@@ -401,7 +401,7 @@ class RelativeStates:
             if self._fold(seen.drone_id, said.t, "sighting", _ray(said, seen.direction, sigma, origin_sigma)):
                 self._rays[drone, seen.drone_id] = said.t
 
-    def forget(self, drone_id: int) -> None:
+    def reset(self, drone_id: int) -> None:
         """What a teammate said turned out to be in another frame: its state starts again, with its next ray."""
         self._said.pop(drone_id, None)
         self._reading = None

@@ -18,7 +18,7 @@ class RecordedFrames:
         self.topics = frozenset({FRAMES_TOPIC, *(image_topic(k) for k in range(cameras))})
         self._exact_times: dict[str, Any] | None = None
 
-    def take(self, topic: str, data: bytes) -> Frame | None:
+    def decode(self, topic: str, data: bytes) -> Frame | None:
         """First come a frame's exact times, then its picture; None where that is none. Raises RecordingError."""
         try:
             return self._take(topic, data)

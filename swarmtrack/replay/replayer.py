@@ -253,12 +253,12 @@ class Replayer:
         frame = self._frames.pop((event.camera, event.sequence), None)
         if frame is None:
             return
-        detections = self._detector.look(self._detector.plan(frame, self._expectations[frame.camera]))
+        detections = self._detector.detect(self._detector.plan(frame, self._expectations[frame.camera]))
         if detections is not None:
             yield detections
 
     def _take_frame(self, topic: str, data: bytes) -> None:
-        frame = self._recorded_frames.take(topic, data)
+        frame = self._recorded_frames.decode(topic, data)
         if frame is None:
             return
         self._frames[frame.camera, frame.sequence] = frame

@@ -46,12 +46,14 @@ def write_video(
     video, begin, count = TimedVideo(path, _fps(times)), math.nan, 0
     try:
         for message in recording.messages(frames.topics):
-            frame = frames.take(message.topic, message.data)
+            frame = frames.decode(message.topic, message.data)
             report = None if frame is None else reports.get((frame.camera, frame.sequence))
             if frame is None or report is None or frame.camera not in shown:
                 continue
             begin = frame.t if math.isnan(begin) else begin
-            tiles.put(shown.index(frame.camera), _drawn(frame, report, begin, settings, trails[frame.camera]))
+            tiles.paste(
+                shown.index(frame.camera), _drawn(frame, report, begin, settings, trails[frame.camera])
+            )
             video.write(tiles.picture, max(frame.t - begin, 0.0))
             count += 1
     finally:
@@ -92,7 +94,7 @@ class Tiles:
     def picture(self) -> Image:
         return self._whole.copy()
 
-    def put(self, place: int, image: Image) -> None:
+    def paste(self, place: int, image: Image) -> None:
         tile = image
         if self._share < 1.0:
             size = (round(self._share * image.shape[1]), round(self._share * image.shape[0]))

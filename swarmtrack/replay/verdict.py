@@ -127,7 +127,7 @@ def _tell_truth(recording: Recording, followed: Mapping[int, FollowedDrone]) -> 
         true = read_truth(message)
         if true.drone_id in followed:
             pose = Pose(from_quaternion(true.quaternion_wxyz), np.array(true.position_m))
-            followed[true.drone_id].tell(true.t_s, pose)
+            followed[true.drone_id].add_pose(true.t_s, pose)
 
 
 class _Stage:
@@ -151,7 +151,7 @@ class _Stage:
         self._boots: dict[int, str] = {}
 
     async def play(self) -> None:
-        await self._watch.hear(self._samples())
+        await self._watch.listen(self._samples())
         await self._watch.judge_the_rest()
 
     async def _samples(self) -> AsyncIterator[Sample]:

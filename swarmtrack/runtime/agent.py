@@ -82,7 +82,7 @@ class Agent:
         self._notices = make_notices(parts)
         self._formation = make_formation_pilot(parts, self._notices)
         self.health = make_health(parts, self._formation)
-        self._team = make_teamwork(parts, self.health, self._notices, self.tell)
+        self._team = make_teamwork(parts, self.health, self._notices, self.deliver)
         self._live = LiveVideo(
             parts.transport,
             parts.door.perceived,
@@ -171,17 +171,17 @@ class Agent:
     def on_imu(self, sample: ImuSample) -> None:
         """From the autopilot, on the event loop."""
         self.health.imu.tick()
-        self.tell(sample)
+        self.deliver(sample)
 
     def on_pose(self, pose: EgoPose) -> None:
         """From the autopilot, on the event loop."""
-        self.tell(pose)
+        self.deliver(pose)
         if pose.position is not None:
             self._team.on_position()
 
     def on_autopilot_reboot(self) -> None:
         """From the autopilot, on the event loop."""
-        self.tell(AutopilotRebooted())
+        self.deliver(AutopilotRebooted())
         if self._formation is not None:
             self._formation.on_reboot()
 
@@ -191,7 +191,7 @@ class Agent:
 
     def on_flight_state(self, state: FlightState) -> None:
         """From the autopilot, on the event loop."""
-        self.tell(state)
+        self.deliver(state)
 
     def on_found_flying(self) -> None:
         """From the autopilot, on the event loop."""
@@ -226,7 +226,7 @@ class Agent:
         async for detections in detected:
             self._tracks.on_detections()
             self.health.on_detections(detections.camera)
-            self.tell(detections)
+            self.deliver(detections)
             for video in self._videos:
                 await video.drain()
 
@@ -264,7 +264,7 @@ class Agent:
             while not frames.ended:
                 await frames.arrived()
                 async with self._turns.turn(number):
-                    frame = await frames.take()
+                    frame = await frames.get()
                     seen = None if frame is None else await self._look_at(replace(frame, camera=number))
                 if seen is not None:
                     yield seen
@@ -283,11 +283,11 @@ class Agent:
         began = self._wall.now()
         self._watchdog.look_began(began)
         look = detector.plan(frame, self._expectations[frame.camera])
-        detections = await asyncio.get_running_loop().run_in_executor(self._worker, detector.look, look)
+        detections = await asyncio.get_running_loop().run_in_executor(self._worker, detector.detect, look)
         self._watchdog.look_ended()
         self.health.detector.add(self._wall.now() - began)
         if detections is not None and self._videos:
-            self._videos[frame.camera].keep(frame)
+            self._videos[frame.camera].add_frame(frame)
         return detections
 
     def _is_fresh(self, exposed: float, number: int) -> bool:
@@ -304,7 +304,7 @@ class Agent:
         self._all_stale[number] = True
         return False
 
-    def tell(self, event: Input) -> None:
+    def deliver(self, event: Input) -> None:
         """Onboard is told, and what comes of it is carried off: a scan may have waited for this very sample."""
         self._door.tell(event)
         self._carry_off()
@@ -341,8 +341,8 @@ class Agent:
     def _on_scan(self, report: ScanReport) -> None:
         """To whoever writes or shows it; and the publisher wakes."""
         self.health.on_scan()
-        self._console.see(report)
-        self._notices.see(report)
+        self._console.on_scan(report)
+        self._notices.on_scan(report)
         written = self._jsonl or self._videos
         seen = as_seen(report, *self._lenses) if written else []
         if self._jsonl:
@@ -481,7 +481,7 @@ def make_teamwork(
         agreed=parts.agreed,
         coded=tuple(map(int, team.drones)),
         share_hz=team.share_hz if team.share == "velocity" else None,
-        on_report=None if parts.recorder is None else parts.recorder.said,
+        on_report=None if parts.recorder is None else parts.recorder.record_sighting,
         simulated=parts.simulated_teammates,
     )
 

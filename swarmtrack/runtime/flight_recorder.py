@@ -93,7 +93,7 @@ class FlightRecorder:
     def scanned(self, report: ScanReport, world_from_camera: Pose | None) -> None:
         self._put(partial(self._write_report, report, world_from_camera))
 
-    def said(self, report: SightingReport) -> None:
+    def record_sighting(self, report: SightingReport) -> None:
         """Told to the team; by its number the clocks of two recordings are compared."""
         self._put(partial(self._write_said, report))
 
@@ -111,7 +111,7 @@ class FlightRecorder:
         self._put(partial(self._write_frame, frame))
 
     def _put(self, job: Job) -> None:
-        self._thread.put(self._ns(self._clock.now()), job)
+        self._thread.enqueue(self._ns(self._clock.now()), job)
 
     def _ns(self, t: float) -> int:
         """Our time t as UTC."""

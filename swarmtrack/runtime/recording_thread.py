@@ -52,7 +52,7 @@ class RecordingThread:
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
 
-    def put(self, log_time_ns: int, job: Job) -> None:
+    def enqueue(self, log_time_ns: int, job: Job) -> None:
         while len(self._queue) >= MAX_QUEUED:
             if not self.waits or self._thread is None or not self._thread.is_alive():
                 self._overrun += 1

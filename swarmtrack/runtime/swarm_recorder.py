@@ -119,9 +119,9 @@ class SwarmRecorder:
         """Its counters and troubles."""
         return self._thread
 
-    def heard(self, sample: Sample, t: float, utc: float) -> None:
+    def record_sample(self, sample: Sample, t: float, utc: float) -> None:
         """t, utc: when, by our clocks [s]."""
-        self._thread.put(
+        self._thread.enqueue(
             self._ns(t), partial(self._write_heard, Heard(t, utc, sample.key, sample.alive, sample.payload))
         )
 
@@ -129,7 +129,7 @@ class SwarmRecorder:
         """event: "started" or "ended", of a process."""
         t, utc = self._clock.now(), self._clock.utc()
         data = msgspec.json.encode(FlightEvent(event, drone_id, t, utc))
-        self._thread.put(self._ns(t), lambda write, ns: write(FLIGHT, ns, data))
+        self._thread.enqueue(self._ns(t), lambda write, ns: write(FLIGHT, ns, data))
 
     def landed(self) -> None:
         """Nothing more will be heard: from now on a full queue holds up who puts, instead of losing what is put."""
@@ -137,11 +137,11 @@ class SwarmRecorder:
 
     def truth(self, epoch: float, true: TruePose) -> None:
         """epoch: of world time, on our clock."""
-        self._thread.put(self._ns(epoch + true.t), partial(_write_truth, true))
+        self._thread.enqueue(self._ns(epoch + true.t), partial(_write_truth, true))
 
     def verdict(self, record: Mapping[str, Any]) -> None:
         data = msgspec.json.encode(record)
-        self._thread.put(self._ns(self._clock.now()), lambda write, ns: write(VERDICT, ns, data))
+        self._thread.enqueue(self._ns(self._clock.now()), lambda write, ns: write(VERDICT, ns, data))
 
     def _ns(self, t: float) -> int:
         return round((t + self._utc_offset) * 1e9)

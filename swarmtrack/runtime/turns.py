@@ -79,7 +79,7 @@ class NewestFrames:
             self._next = self._next or asyncio.create_task(self._take())
             await asyncio.wait({self._next})
 
-    async def take(self) -> Frame | None:
+    async def get(self) -> Frame | None:
         """The newest; None where it came to nothing (it was no image), and where the camera has ended."""
         self._next = self._next or asyncio.create_task(self._take())
         done, _ = await asyncio.wait({self._next}, timeout=LONGEST_DECODE)

@@ -190,7 +190,7 @@ class GmPhd(GaussianTracks):
         if seen.any():
             self._population.learn_looks(t, seen, measured.select(shares.taken[seen].argmax(axis=1)))
         table.existence = np.minimum(missed + detected, MAX_EXISTENCE)
-        self._population.judge(t, seen, visibility)
+        self._population.update_status(t, seen, visibility)
         # A confirmed label that is missed for long keeps a remainder, so that one clear detection brings it back.
         weight *= np.maximum(1.0, table.existence / (missed + detected))[labels.row, None]
 

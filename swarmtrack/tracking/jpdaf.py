@@ -108,7 +108,7 @@ class Jpdaf(GaussianTracks):
         if seen.any():
             best = share[seen].argmax(axis=1)
             self._population.learn_looks(t, seen, measured.select(best))
-        self._population.judge(t, seen, visibility)
+        self._population.update_status(t, seen, visibility)
         unexplained = np.maximum(1.0 - share.sum(axis=0), 0.0)
         births = np.where(self._population.shadowed(t, measured, seen), 0.0, unexplained * newcomer)
         return births, Explained(pairs, float((unexplained * (1.0 - newcomer)).sum()))

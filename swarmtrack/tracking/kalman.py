@@ -63,7 +63,7 @@ class Kalman(GaussianTracks):
         self._population.learn_looks(t, rows, measured.select(columns))
         seen, taken = np.zeros(len(table), np.bool_), np.zeros(len(z), np.bool_)
         seen[rows], taken[columns] = True, True
-        self._population.judge(t, seen, visibility)
+        self._population.update_status(t, seen, visibility)
         clutter = len(z) - float(table.existence[rows].sum())
         if not taken.all():
             taken |= self._population.shadowed(t, measured, seen)

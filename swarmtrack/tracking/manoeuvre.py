@@ -109,7 +109,7 @@ class ModeMixture(NamedTuple):
     cov: Array
     mode: Array
 
-    def take(self, rows: NDArray[np.intp]) -> ModeMixture:
+    def select(self, rows: NDArray[np.intp]) -> ModeMixture:
         # Of few rows, `take` costs a quarter of what indices in brackets do.
         return ModeMixture(
             self.mean.take(rows, axis=0), self.cov.take(rows, axis=0), self.mode.take(rows, axis=0)

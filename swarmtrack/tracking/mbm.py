@@ -160,10 +160,10 @@ class Leaves(NamedTuple):
     existence: Array
     size: Array
 
-    def take(self, rows: Indices) -> Leaves:
+    def select(self, rows: Indices) -> Leaves:
         return Leaves(
             self.owner.take(rows),
-            self.motion.take(rows),
+            self.motion.select(rows),
             self.existence.take(rows),
             self.size.take(rows, axis=0),
         )
@@ -275,7 +275,7 @@ class Mbm:
     ) -> Passage:
         """Of a track in dispute, what the published hypothesis says; the others go on without it."""
         motion = manoeuvre.predict(
-            self._published().take(np.flatnonzero(rows)),
+            self._published().select(np.flatnonzero(rows)),
             dt,
             self._manoeuvres.calmed(self._sensor.noise.motion),
             camera=self._sensor.camera,
@@ -290,7 +290,7 @@ class Mbm:
 
     def copied(self, rows: NDArray[np.bool_]) -> Passage:
         """Of a track in dispute, what the published hypothesis says."""
-        return Passage(self.table.select(rows), self._published().take(np.flatnonzero(rows)))
+        return Passage(self.table.select(rows), self._published().select(np.flatnonzero(rows)))
 
     def adopt(self, arriving: Passage) -> None:
         self.table.append(arriving.table)
@@ -559,7 +559,7 @@ class Mbm:
         self._weigh_existence(published, weighed, taken)
         seen = published.column >= 0
         self._population.learn_likeness(t, seen, measured.likeness.take(published.column[seen]))
-        self._population.judge(t, seen, weighed.visibility)
+        self._population.update_status(t, seen, weighed.visibility)
         made = _made(seen, disputed)
         if self._parameters.learn_noise == "both":  # else what was told of survival and clutter is known
             self._population.credit(t, made)
@@ -602,7 +602,7 @@ class Mbm:
         self, told: Association, measured: Measurements, weighed: Weighed, taken: Array
     ) -> tuple[Leaves, ModeInnovations]:
         """The leaves after the scan, and of those that made a detection how well it fitted."""
-        before = self.leaves.take(told.leaf)
+        before = self.leaves.select(told.leaf)
         (hit,) = (told.column >= 0).nonzero()
         leaf, column, owner = told.leaf.take(hit), told.column.take(hit), before.owner
         R, drawn_well = measured.R.take(column, axis=0), np.ones((len(hit), 1))
@@ -615,10 +615,10 @@ class Mbm:
         if weighed.merging is not None:
             p, shift = weighed.merging
             R += p[leaf, column][:, None, None] * shift.take(owner.take(hit), axis=0)
-        updated, fit = manoeuvre.update(before.motion.take(hit), measured.z.take(column, axis=0), R)
+        updated, fit = manoeuvre.update(before.motion.select(hit), measured.z.take(column, axis=0), R)
         motion = before.motion
         for old, new in zip(motion, updated, strict=True):
-            old[hit] = new  # `take` made copies
+            old[hit] = new  # `select` made copies
         size = before.size
         size[hit] = blend_sizes(size.take(hit, axis=0), measured.size.take(column, axis=0), drawn_well)
 
@@ -662,7 +662,7 @@ class Mbm:
             if left is not None:
                 disputed.append(left)
         kept = np.unique(np.concatenate([best, *(cluster.leaf.ravel() for cluster in disputed)]))
-        self.leaves = leaves.take(kept)
+        self.leaves = leaves.select(kept)
         self.best = np.searchsorted(kept, best)
         self.clusters = [cluster._replace(leaf=np.searchsorted(kept, cluster.leaf)) for cluster in disputed]
         return best
@@ -676,7 +676,7 @@ class Mbm:
     def _published(self) -> ModeMixture:
         """Of each track, the leaf of the best hypothesis; the only one where nothing is in dispute."""
         motion = self.leaves.motion
-        return motion.take(self.best) if self.clusters else motion
+        return motion.select(self.best) if self.clusters else motion
 
     def _grow_leaves(self, motion: ModeMixture | None = None) -> None:
         """One for each row that the table has gained; motion: what is known of these beside what the table says."""
@@ -711,7 +711,7 @@ class Mbm:
         """The table's other rows (n,) have gone: with them their leaves go, and their part in hypotheses."""
         row = np.cumsum(kept) - 1  # of each track that stays
         staying = kept[self.leaves.owner]
-        leaves = self.leaves.take(np.flatnonzero(staying))
+        leaves = self.leaves.select(np.flatnonzero(staying))
         leaf = np.cumsum(staying) - 1
         best = leaf[self.best[kept]]
         remaining = []
@@ -754,7 +754,7 @@ def _without_doubles(cluster: Cluster, leaves: Leaves) -> Cluster:
     weight = np.bincount(inverse.ravel(), np.repeat(cluster.weight, len(cluster.tracks)))
     weight[np.searchsorted(rows, cluster.leaf[cluster.shown])] += 1.0
     likeliest = np.argsort(-weight, kind="stable")
-    mean, cov = manoeuvre.merged(leaves.motion.take(rows[likeliest]))
+    mean, cov = manoeuvre.merged(leaves.motion.select(rows[likeliest]))
     apart = np.abs(mean[:, None] - mean[None]) / np.sqrt(np.einsum("nii->ni", cov))[None]
     owner = leaves.owner[rows[likeliest]]
     same = (owner[:, None] == owner[None]) & (apart.max(axis=2) < MBM_SAME_LEAF_SIGMAS)

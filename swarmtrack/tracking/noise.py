@@ -142,7 +142,7 @@ class NoiseScales:
         np.maximum(variance, PIXEL_SIGMA_PX**2, out=variance)
         return R
 
-    def learn(self, pairs: SurePairs, size: Array, *, steady: bool) -> None:
+    def update(self, pairs: SurePairs, size: Array, *, steady: bool) -> None:
         """Of one scan: size (m, 2) px of its detections; steady: the camera turns as it did in the scan before."""
         before, self._before = self._before, {}
         kinds = size_class(size[pairs.detection]).tolist()

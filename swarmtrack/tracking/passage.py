@@ -28,7 +28,7 @@ class Passage(NamedTuple):
 
     def select(self, mask: NDArray[np.bool_]) -> Passage:
         """Those whose mask (n,) is True."""
-        motion = None if self.motion is None else self.motion.take(np.flatnonzero(mask))
+        motion = None if self.motion is None else self.motion.select(np.flatnonzero(mask))
         return Passage(self.table.select(mask), motion)
 
     def turned_into(self, camera: PinholeCamera, before: PinholeCamera, rotation: Array) -> Passage:

@@ -70,7 +70,7 @@ class Population:
         mean[:, POSITION] = measured.z
         cov[:, POSITION, POSITION] = measured.R
         cov[:, [1, 3], [1, 3]] = self._parameters.birth_speed_sigma**2
-        ids = self._ids.take(n)
+        ids = self._ids.allocate(n)
         no, seen, never = np.zeros(n, np.bool_), np.full(n, t), np.full(n, np.nan)
         size, likeness = measured.size.copy(), measured.likeness.copy()
         return TrackTable(
@@ -95,7 +95,7 @@ class Population:
         table.likeness[rows] = (looks * table.likeness[rows] + new * likeness) / (looks + new)
         table.looks[rows], table.looked[rows] = looks + new, t
 
-    def judge(self, t: float, seen: NDArray[np.bool_], visibility: Visibility) -> None:
+    def update_status(self, t: float, seen: NDArray[np.bool_], visibility: Visibility) -> None:
         """After a scan at t that saw these rows (n,) and has reweighed existence: who is confirmed, who is lost."""
         table = self.table
         is_drone = table.likeness >= LIKENESS_SIGMA_LOG_ODDS / np.sqrt(table.looks)
@@ -111,9 +111,11 @@ class Population:
         table.lost = ~seen & ((table.existence < LOST_BELOW_EXISTENCE) | (visibility.in_view < 0.5))
 
     def credit(self, t: float, made: Array) -> None:
-        """After `judge`, for trackers that put off who made what: a confirmed track that very likely made a detection
-        lives on, although the published story, or too few detections of late, leave it in doubt. made (n,): how surely
-        each made a detection of the scan at t."""
+        """Extend the life of confirmed tracks that very likely made a detection, after `update_status`.
+
+        For trackers with deferred association, whose published hypothesis, or too few recent detections, leave such a
+        track in doubt. made (n,): probability that each track made a detection of the scan at t.
+        """
         table = self.table
         doubt = UNDETECTED_DOUBT_GAIN * (1.0 - made)
         credited = table.confirmed & (doubt < 1.0)
@@ -121,8 +123,8 @@ class Population:
         table.last_seen = np.where(credited, np.maximum(table.last_seen, last), table.last_seen)
 
     def excuse(self, t: float, made: Array, visibility: Visibility) -> None:
-        """After `judge`: of confirmed tracks that another hides, the time counts less in which nobody could have seen
-        them. made: as in `credit`."""
+        """Discount the time in which a confirmed track was occluded by another, after `update_status`. made: as in
+        `credit`."""
         dt, self._excused_at = max(t - self._excused_at, 0.0), t
         if visibility.overlap is not None:
             table = self.table

@@ -241,7 +241,7 @@ class SensorModel:
         self.clutter_per_scan = min(max(learned, told / CLUTTER_BOUND), told * CLUTTER_BOUND)
 
     def learn_noise(self, pairs: SurePairs, size: Array, *, steady: bool) -> None:
-        """From who surely made which detections of a scan; size (m, 2) px of them; steady: see `NoiseScales.learn`.
+        """From who surely made which detections of a scan; size (m, 2) px of them; steady: see `NoiseScales.update`.
 
         Both ways where parameters say so. Else upwards only: stochastic approximation (Robbins & Monro, 1951) of the
         scale of R that makes squared Mahalanobis distances of the expected 2, as far as R is what they depend on. Too
@@ -251,7 +251,7 @@ class SensorModel:
         if self._noise_learned == "no":
             return
         if self._noise_learned == "both":
-            self.noise.learn(pairs, size, steady=steady)
+            self.noise.update(pairs, size, steady=steady)
             return
         for distance in pairs.nis.tolist():
             self._detections_learned = min(self._detections_learned + 1.0, NOISE_MEMORY_DETECTIONS)

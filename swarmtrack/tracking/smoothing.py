@@ -31,7 +31,7 @@ class PredictedTracks(NamedTuple):
     cov: Array
     F: Array
 
-    def take(self, rows: NDArray[np.intp]) -> PredictedTracks:
+    def select(self, rows: NDArray[np.intp]) -> PredictedTracks:
         return PredictedTracks(self.id[rows], self.mean[rows], self.cov[rows], self.F[rows])
 
 
@@ -118,7 +118,7 @@ def _looked_back(table: TrackTable, expected: PredictedTracks, later: TrackTable
     looked.mean[here], looked.cov[here] = rts_step(
         looked.mean[here],
         looked.cov[here],
-        expected.take(foreseen),
+        expected.select(foreseen),
         later.mean[there],
         later.cov[there],
     )

@@ -107,7 +107,7 @@ class TrackIds:
     def __init__(self) -> None:
         self._next = 1
 
-    def take(self, n: int) -> NDArray[np.int64]:
+    def allocate(self, n: int) -> NDArray[np.int64]:
         """The next n."""
         ids = np.arange(self._next, self._next + n)
         self._next += n

@@ -80,7 +80,7 @@ class CandidateSource:
         """doubtful: what may be a drone and is left out."""
         rng, drawn = self._rng, frame.source == DRAWN
         corner, part = (np.zeros(2, int), frame.image) if drawn else self._part(frame, scale)
-        found, _ = self._net.look(part, scale, SECOND_STAGE_LEAST_SCORE, CANDIDATES_PER_PICTURE)
+        found, _ = self._net.infer(part, scale, SECOND_STAGE_LEAST_SCORE, CANDIDATES_PER_PICTURE)
         labels, spans = np.concatenate([frame.drones, frame.distractors]), _spans(frame)
         kinds = (DRONE_CLASS,) * len(frame.drones) + (frame.kinds or (OTHER,) * len(frame.distractors))
         boxes = np.concatenate([found.centre + corner, found.size], axis=1)

@@ -21,7 +21,7 @@ def look(model: Path, frames: Sequence[LabelledFrame]) -> list[ScoredImage]:
     detector = Detector(str(model), score_threshold=LOWEST_SCORE, second_stage="none", look="whole")
     looks = []
     for frame in frames:
-        found = detector.look(detector.plan(Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA)))
+        found = detector.detect(detector.plan(Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA)))
         if found is None:
             raise TrainingError(detector.status().text)
         looks.append(ScoredImage(found, frame.drones, frame.distractors, frame.kinds))

@@ -52,7 +52,7 @@ class Congestion:
         self._means: dict[str, float] = {}
         self._delays: dict[str, deque[float]] = {}
 
-    def see(self, links: Mapping[str, Sent]) -> Waiting:
+    def measure(self, links: Mapping[str, Sent]) -> Waiting:
         """links: by any name that stays with the link."""
         for gone in self._means.keys() - links.keys():
             del self._means[gone], self._delays[gone]

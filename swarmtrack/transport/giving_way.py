@@ -97,7 +97,7 @@ class GivingWay:
         self._streams, before = _streams(links), self._streams
         if self._streams != before:
             self._pacing.begin()
-        self._pacing.look(self._congestion.see(look_at_links(self._streams)), now)
+        self._pacing.adjust(self._congestion.measure(look_at_links(self._streams)), now)
         if self._pacing.gives_way:
             if now - self._gave_way_at > PACE_LOG_QUIET_S:
                 log.warning("network: the radio is full: tracks are published less often")

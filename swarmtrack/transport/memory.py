@@ -136,7 +136,7 @@ class MemoryTransport:
 
     async def announce(self, announcement: Announcement) -> None:
         self._outgoing.replace(announcement)
-        payload = self._outgoing.tell()
+        payload = self._outgoing.encode()
         assert payload is not None
         self._hub._send(self, self._key(Kind.POSE), payload)
 

@@ -74,7 +74,7 @@ class Outgoing:
             self._encode(announcement)
             self._announcement = announcement
 
-    def tell(self) -> bytes | None:
+    def encode(self) -> bytes | None:
         """The bytes to send now; None before the first announcement."""
         with self._lock:
             return self._tell()

@@ -76,7 +76,7 @@ class Pacing:
         """Somebody begins to listen, or a link was lost."""
         self._rate = min(self._rate, PACE_FIRST_BYTES_PER_S)
 
-    def look(self, waiting: Waiting, now: float) -> None:
+    def adjust(self, waiting: Waiting, now: float) -> None:
         """To be called a few times a second."""
         if self._looked_at is None or now <= self._looked_at:
             self._looked_at = now

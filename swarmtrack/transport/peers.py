@@ -139,7 +139,7 @@ class Peers:
 
     def part(self) -> None:
         """All links were closed."""
-        self._silence.forget()
+        self._silence.clear()
         self._tell(self._membership.part())
 
     def silent(self, linked: Collection[int]) -> tuple[int, ...]:
@@ -165,7 +165,7 @@ class Peers:
         """A teammate answered a question, whatever it said. One whose token is lost may well answer, and is no teammate
         for all that."""
         if drone_id in self._membership.peers:
-            self._silence.heard(drone_id, asyncio.get_running_loop().time())
+            self._silence.mark_heard(drone_id, asyncio.get_running_loop().time())
 
     def on_request(self) -> None:
         """Somebody wants us to announce anew."""

@@ -38,11 +38,11 @@ class Silence:
         """How often all links were made again since this one was heard last."""
         self._reopened_at = -math.inf
 
-    def heard(self, drone_id: int, now: float) -> None:
+    def mark_heard(self, drone_id: int, now: float) -> None:
         self._heard[drone_id] = now
         del self._tried[drone_id]
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """All links are closed."""
         self._heard.clear()
         self._told.clear()

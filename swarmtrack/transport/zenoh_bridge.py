@@ -74,9 +74,9 @@ class Bridge:
     def _on_sample(self, sample: zenoh.Sample) -> None:
         payload = sample.payload.to_bytes()[: MAX_MESSAGE_BYTES + 1]  # one too many is enough to be refused
         alive = sample.kind == zenoh.SampleKind.PUT
-        self.put(Sample(str(sample.key_expr), payload, alive, self._clock.now()))
+        self.enqueue(Sample(str(sample.key_expr), payload, alive, self._clock.now()))
 
-    def put(self, sample: Sample) -> None:
+    def enqueue(self, sample: Sample) -> None:
         """From any thread."""
         slot = sample.key if self._newest_per_key else ""
         with self._lock:

@@ -180,9 +180,9 @@ class ZenohListener:
         address = keys.parse(token.key)
         if token.alive and address is not None:
             for kind in keys.ASKED_KINDS:
-                self.ask(kind, address.drone_id)
+                self.request(kind, address.drone_id)
 
-    def ask(self, kind: Kind, drone_id: int) -> None:
+    def request(self, kind: Kind, drone_id: int) -> None:
         """Have a drone say again what it says once (`keys.ASKED_KINDS`), if that is listened to. Returns at once."""
         key = keys.key(self._network.team, kind, drone_id)
         if self._session is not None and self._bridge is not None and self._hears(key):

@@ -237,7 +237,7 @@ class ZenohTransport:
             return  # not open yet, or no more: those who come ask for it
 
         def put(open_session: zenoh.Session) -> None:
-            payload = self._outgoing.tell()
+            payload = self._outgoing.encode()
             assert payload is not None
             open_session.put(
                 self._outgoing.key,

@@ -22,7 +22,7 @@ def crossing(names: list[int | None]) -> all_round.SeamWatch:
         u = 300.0 + 15.0 * k
         ahead = ({2: box(u)}, {2: box(u - 550.0)})
         track = NamedTrack(7, name, 0.97, u, 240.0)
-        watch.see(Glance(1, "boot", 10 + k, 1.0 + 0.1 * k, {2: box(u)}, {}, (track,), ahead))
+        watch.add_glance(Glance(1, "boot", 10 + k, 1.0 + 0.1 * k, {2: box(u)}, {}, (track,), ahead))
     return watch
 
 

@@ -219,7 +219,7 @@ def test_latency_is_taken_at_the_first_message_with_a_new_scan(monkeypatch):
     for sequence, (arrival, exposure, status) in enumerate(arrivals):
         monkeypatch.setattr(lone_agent.time, "time", lambda arrival=arrival: start + arrival)
         monkeypatch.setattr(lone_agent.time, "monotonic", lambda arrival=arrival: arrival)
-        heard.take(Kind.TRACKS, message(start + arrival, start + exposure, sequence, status))
+        heard.receive(Kind.TRACKS, message(start + arrival, start + exposure, sequence, status))
     assert heard.latencies == pytest.approx([0.004, 0.0333], abs=1e-5)
     assert heard.first_track_at == 0.024
 

@@ -27,7 +27,7 @@ def clock(used_s: float, found: tuple[float, float] | None = None) -> SimpleName
 def test_what_a_clock_settles_on_is_adopted_and_what_it_passes_is_not() -> None:
     record = ClockRecord(true_s=0.050, turns_from=10.0)
     for k, used in enumerate((0.0, 0.0, 0.02, 0.04, 0.051, 0.051, 0.051)):
-        record.see(12.0 + k, clock(used, (0.051, 0.002)))
+        record.add_sample(12.0 + k, clock(used, (0.051, 0.002)))
     (adopted,) = record.adopted
     assert (adopted.error_s, adopted.sigma_s) == (pytest.approx(0.001), 0.002)
     assert not adopted.off
@@ -37,7 +37,7 @@ def test_what_a_clock_settles_on_is_adopted_and_what_it_passes_is_not() -> None:
 def test_a_wrong_claim_is_off_and_what_is_given_back_was_not_found() -> None:
     record = ClockRecord(true_s=0.0, turns_from=10.0)
     for k, used in enumerate((0.0, 0.06, 0.06, 0.0, 0.0)):
-        record.see(20.0 + k, clock(used, (0.06, 0.002) if k < 3 else (0.01, 0.006)))
+        record.add_sample(20.0 + k, clock(used, (0.06, 0.002) if k < 3 else (0.01, 0.006)))
     assert [adopted.off for adopted in record.adopted] == [True]
     assert record.found_after_s == pytest.approx(13.0)
 

@@ -36,7 +36,7 @@ async def test_what_a_run_uses_is_what_the_kernel_counted_of_its_processes():
     try:
         usage = Usage(b"MARK=abc")
         await process.stdout.readline()
-        usage.look()
+        usage.sample()
         assert 0.35 <= sum(usage.by_kind().values()) < 5.0
         assert os.getpid() not in usage.seconds
     finally:

@@ -18,7 +18,7 @@ def watched(*tracks, in_view=None, hidden=None):
     watch = scenery.Watch(load_scenario("crossing"))
     for k in range(10):
         named = tuple(NamedTrack(7 + n, None, 0.0, u, v) for n, (u, v) in enumerate(tracks))
-        watch.see(Glance(1, "boot", k, 0.1 * k, in_view or {}, hidden or {}, named))
+        watch.add_glance(Glance(1, "boot", k, 0.1 * k, in_view or {}, hidden or {}, named))
     return watch
 
 

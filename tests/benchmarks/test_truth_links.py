@@ -51,8 +51,8 @@ def followed(scenario: Scenario, drone_id: int, seconds: float) -> FollowedDrone
         for datagram in pilot.step(now, TRUTH_PORT):
             arrived = max(arrived, now + chance.exponential(JITTER_S))
             for message in parser.parse_buffer(datagram) or []:
-                for sample in reader.take(message, arrived):
-                    drone.tell(sample.t, sample.pose)
+                for sample in reader.read(message, arrived):
+                    drone.add_pose(sample.t, sample.pose)
     return drone
 
 

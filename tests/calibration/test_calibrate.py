@@ -153,7 +153,7 @@ def test_a_turn_by_hand_gives_rotation_and_offset(seed):
 def test_an_image_without_anything_in_it_says_nothing():
     motion = ImageMotion(SMALL)
     for k in range(3):
-        assert motion.see(0.1 * k, np.full((120, 160), 128, np.uint8)) is None
+        assert motion.add_frame(0.1 * k, np.full((120, 160), 128, np.uint8)) is None
     assert len(motion.turns().start) == 0
 
 
@@ -162,10 +162,10 @@ def test_frames_far_apart_are_not_compared():
     room = Room(rng, SMALL)
     motion = ImageMotion(SMALL)
     image = room.image(FORWARD, np.zeros(3))
-    assert motion.see(0.0, image) is None
-    assert motion.see(1.0, image) is None
-    assert motion.see(1.1, image).vector == pytest.approx(np.zeros(3), abs=1e-6)
-    assert motion.see(1.05, image) is None  # the clock went back
+    assert motion.add_frame(0.0, image) is None
+    assert motion.add_frame(1.0, image) is None
+    assert motion.add_frame(1.1, image).vector == pytest.approx(np.zeros(3), abs=1e-6)
+    assert motion.add_frame(1.05, image) is None  # the clock went back
 
 
 async def test_the_command_measures_a_live_drone_and_writes_its_config(tmp_path, capsys):

@@ -16,12 +16,12 @@ async def test_what_nobody_took_gives_way_once_to_the_newest_and_is_counted():
     slot = NewestSlot[int]("camera", ManualClock(), gone.append)
     for item in (1, 2, 3):
         slot.put(item)
-    assert await slot.take() == 3
+    assert await slot.get() == 3
     slot.put(4)
     slot.clear()
     slot.end()
     slot.put(5)
-    assert await slot.take() is None
+    assert await slot.get() is None
     assert gone == [1, 2, 4, 5]
     assert slot.source.counts.dropped == 2
 
@@ -30,9 +30,9 @@ async def test_the_consumer_gets_what_waits_and_then_the_error_that_ended_it():
     slot = NewestSlot[int]("camera", ManualClock())
     slot.put(1)
     slot.end(OSError("unplugged"))
-    assert await slot.take() == 1
+    assert await slot.get() == 1
     with pytest.raises(OSError, match="unplugged"):
-        await slot.take()
+        await slot.get()
 
 
 def at(clock: ManualClock, begin: float, hz: float, seconds: float, source: SourceStatus) -> None:
@@ -47,7 +47,7 @@ def at(clock: ManualClock, begin: float, hz: float, seconds: float, source: Sour
 def test_rates_are_of_the_last_two_seconds():
     clock = ManualClock(100.0)
     source = SourceStatus("camera", clock)
-    source.say(True, "streaming")
+    source.report(True, "streaming")
     at(clock, 100.0, 30.0, 1.0, source)  # before two seconds have passed: over the time since the first
     assert dict(source.status().counters)["fps"] == pytest.approx(30.0)
     at(clock, 101.0, 10.0, 3.0, source)
@@ -67,7 +67,7 @@ def test_a_line_is_logged_when_it_changes_and_trouble_lasts_until_a_frame_is_of_
     caplog.set_level(logging.INFO)
     source = SourceStatus("front", ManualClock())
     for _ in range(3):
-        source.say(True, "open")
+        source.report(True, "open")
         source.refuse("wrong size")
     assert caplog.messages == ["camera front: open", "camera front: wrong size"]
     assert (source.status().ok, source.status().text) == (False, "wrong size")

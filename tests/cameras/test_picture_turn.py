@@ -64,7 +64,7 @@ def fly(rates, true, seconds, *, told=(AHEAD, RIGHT), seed=1, late=0.0, moving=0
             false = chance.uniform([0.0, 0.0], [640.0, 480.0], (chance.poisson(0.3), 2))
             if t > late:
                 scan = Scan(t, np.concatenate([z, false]))
-                found = turns.see(number, scan, CAMERA, gyro.orientation(t - late))
+                found = turns.add_scan(number, scan, CAMERA, gyro.orientation(t - late))
                 news += [found] if found else []
     return news
 
@@ -108,4 +108,4 @@ def test_the_only_teammate_may_change_its_direction_in_step_with_the_own_turn(sh
         if k % (HZ // FPS) == 0:
             z = np.array([[319.5 + 320.0 * math.tan(bearing - yaw), 239.5]])
             scan = Scan(t, z + 1.5 * chance.normal(size=(1, 2)))
-            assert turns.see(0, scan, CAMERA, gyro.orientation(t)) is None
+            assert turns.add_scan(0, scan, CAMERA, gyro.orientation(t)) is None

@@ -544,7 +544,7 @@ def test_a_seam_finds_its_turn_within_what_it_says(seed, to_second, crossings):
         if not ahead[0]:
             continue
         z = pixel + 1.5 * rng.normal(size=2)
-        seam.learn(foretold[0], 1.5**2 * np.eye(2), z, CAMERA, to_second=to_second, by=seam.angle)
+        seam.update(foretold[0], 1.5**2 * np.eye(2), z, CAMERA, to_second=to_second, by=seam.angle)
     error = np.linalg.norm(seam.found.angle - angle)
     assert error < 5.0 * seam.found.sigma + math.radians(0.1)
     assert seam.found.sigma < math.radians(0.3)
@@ -560,14 +560,14 @@ def test_those_that_cross_together_are_foretold_by_one_angle_and_tell_of_it_once
         foretold, _, _ = CAMERA.project_undistorted(
             rotation.exp(true).T @ CAMERA.bearing_undistorted(pixel[None]).T[:, 0]
         )
-        seam.learn(foretold[0], np.eye(2), pixel, CAMERA, to_second=True, by=by)
+        seam.update(foretold[0], np.eye(2), pixel, CAMERA, to_second=True, by=by)
     assert np.degrees(seam.angle[1]) == pytest.approx(1.0, abs=0.12)
 
 
 def test_a_detection_of_something_else_teaches_a_seam_nothing():
     seam = Seam(np.eye(3), math.radians(0.5))
     elsewhere = np.array([400.0, 120.0])
-    seam.learn(np.array([300.0, 200.0]), np.eye(2), elsewhere, CAMERA, to_second=True, by=seam.angle)
+    seam.update(np.array([300.0, 200.0]), np.eye(2), elsewhere, CAMERA, to_second=True, by=seam.angle)
     assert (seam.crossings, seam.refused) == (0, 1)
     np.testing.assert_array_equal(seam.second_from_first, np.eye(3))
 

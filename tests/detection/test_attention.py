@@ -164,7 +164,7 @@ def test_the_same_drone_in_two_looks_is_one():
         )
 
     near = together([look([100.0, 100.0], 14.0, 0.6), look([105.0, 101.0], 12.0, 0.9)])
-    assert near.take(of_several_looks(near, limit=9)).centre.tolist() == [[105.0, 101.0]]
+    assert near.select(of_several_looks(near, limit=9)).centre.tolist() == [[105.0, 101.0]]
     apart = together([look([100.0, 100.0], 14.0, 0.6), look([112.0, 101.0], 12.0, 0.9)])
     assert of_several_looks(apart, limit=9) == [0, 1]
 
@@ -226,9 +226,9 @@ def test_what_a_shrunk_frame_hides_a_guided_look_finds_where_it_is():
     frame = sky_with(there, size=16.0)
     boxes = np.array([box_of(*centre, size=16.0) for centre in there])
     whole = Detector(input_scale=0.25, second_stage="none", look="whole")
-    missed = whole.look(whole.plan(frame, Tracks(boxes)))
+    missed = whole.detect(whole.plan(frame, Tracks(boxes)))
     guided = Detector(input_scale=0.25, second_stage="none")
-    found = guided.look(guided.plan(frame, Tracks(boxes)))
+    found = guided.detect(guided.plan(frame, Tracks(boxes)))
     assert len(missed.score) < 2
     assert len(found.score) == 2
     order = np.argsort(found.centre[:, 0])
@@ -257,7 +257,7 @@ def test_a_house_that_seems_likelier_at_first_does_not_hide_the_drone_before_it(
     boxes = SwarmTruth(scenario.world, scenario.cameras).view(1, t).in_view
     tracks = Tracks(np.array([box_of(u, v, size=70.0) for u, v, *_ in boxes.values()]))
     detector = Detector(input_scale=0.5)
-    found = detector.look(detector.plan(Frame(t, 0.0, sequence, image, StampKind.EXPOSURE), tracks))
+    found = detector.detect(detector.plan(Frame(t, 0.0, sequence, image, StampKind.EXPOSURE), tracks))
     assert np.hypot(*(found.centre - np.array(boxes[3][:2])).T).min() < 3.0
 
 
@@ -266,12 +266,12 @@ def test_an_image_that_is_none_is_not_planned_for_but_refused(shape):
     detector, image = Detector(look="guided"), np.zeros(shape, np.uint8)
     look = detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA), Tracks(np.empty((0, 6))))
     assert look.windows == ()
-    assert detector.look(look) is None
+    assert detector.detect(look) is None
     assert dict(detector.status().counters)["refused_frames"] == 1
 
 
 def test_without_tracks_told_the_whole_is_looked_at():
     detector = Detector(look="guided")
-    found = detector.look(detector.plan(sky_with([(300.0, 200.0)], size=30.0)))
+    found = detector.detect(detector.plan(sky_with([(300.0, 200.0)], size=30.0)))
     assert found.coverage == 1.0
     assert len(found.score) == 1

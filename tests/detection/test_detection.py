@@ -150,7 +150,7 @@ def test_the_shipped_model_finds_rendered_drones_against_the_sky(detector, grey)
         for centre in centres:
             render.paste_into(rng, image, render.multirotor(rng), centre, rng.uniform(20, 50))
         picture = image.astype(np.uint8)
-        seen = detector.look(
+        seen = detector.detect(
             detector.plan(frame_of(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) if grey else picture))
         )
         distance = np.linalg.norm(seen.centre[:, None] - centres[None], axis=2).reshape(-1, 3)
@@ -192,13 +192,13 @@ def test_on_a_real_clip_what_moved_is_found_more_surely_and_not_at_the_price_of_
 
 
 def test_an_image_without_anything_gives_no_detections(detector):
-    seen = detector.look(detector.plan(frame_of(np.full((480, 640, 3), 128, np.uint8))))
+    seen = detector.detect(detector.plan(frame_of(np.full((480, 640, 3), 128, np.uint8))))
     assert len(seen) == 0
     assert seen.centre.shape == (0, 2)
 
 
 def test_detections_carry_the_frame_s_time_and_sequence(detector):
-    seen = detector.look(detector.plan(frame_of(np.zeros((100, 130), np.uint8), t=12.25, sequence=41)))
+    seen = detector.detect(detector.plan(frame_of(np.zeros((100, 130), np.uint8), t=12.25, sequence=41)))
     assert (seen.t, seen.sequence) == (12.25, 41)
 
 
@@ -207,8 +207,8 @@ def test_shifting_the_image_shifts_the_detection_as_much(detector):
     rng = np.random.default_rng(2)
     sky = np.full((256, 320, 3), (230, 180, 130), np.float32)
     render.paste_into(rng, sky, render.multirotor(rng), np.array([160.0, 120.0]), 40)
-    here = detector.look(detector.plan(frame_of(sky.astype(np.uint8))))
-    there = detector.look(detector.plan(frame_of(np.roll(sky, (32, 64), axis=(0, 1)).astype(np.uint8))))
+    here = detector.detect(detector.plan(frame_of(sky.astype(np.uint8))))
+    there = detector.detect(detector.plan(frame_of(np.roll(sky, (32, 64), axis=(0, 1)).astype(np.uint8))))
     assert len(here) == len(there) == 1
     assert there.centre[0] - here.centre[0] == pytest.approx([64, 32], abs=0.05)
 
@@ -228,13 +228,13 @@ def test_shifting_the_image_shifts_the_detection_as_much(detector):
 )
 def test_a_frame_that_is_no_image_is_counted_and_said_and_is_not_an_empty_sky(image):
     detector = Detector("default")
-    assert detector.look(detector.plan(frame_of(image))) is None
+    assert detector.detect(detector.plan(frame_of(image))) is None
     status = detector.status()
     assert not status.ok
     assert str(image.dtype) in status.text
     assert "expected uint8" in status.text
     assert dict(status.counters)["refused_frames"] == 1
-    detector.look(detector.plan(frame_of(np.zeros((64, 64), np.uint8))))
+    detector.detect(detector.plan(frame_of(np.zeros((64, 64), np.uint8))))
     assert detector.status().ok
 
 
@@ -243,7 +243,7 @@ def test_latency_is_reported_for_the_last_frames():
     assert detector.latency.infer.max == 0
     detector.warm_up(96, 64)
     for _ in range(300):
-        detector.look(detector.plan(frame_of(np.zeros((64, 96, 3), np.uint8))))
+        detector.detect(detector.plan(frame_of(np.zeros((64, 96, 3), np.uint8))))
     latency = detector.latency
     assert 0 < latency.infer.p50 <= latency.infer.p95 <= latency.infer.max
     assert dict(detector.status().counters)["frames"] == 300

@@ -124,5 +124,5 @@ def test_the_detector_remembers_each_camera_by_itself():
         whole[camera].append(any((w.width, w.height) == (320, 240) for w in look.windows))
         # The first of each camera has nothing to be compared with.
         assert (look.comparison is None) == (k in (0, 6)), k
-        assert detector.look(look).camera == camera
+        assert detector.detect(look).camera == camera
     assert whole == {0: [True, False, False, False, False, True], 1: [True, False, False, False]}

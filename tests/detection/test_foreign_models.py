@@ -27,7 +27,7 @@ def picture(centre, *, width=640, height=512, sigma=6.0, colour=(1.0, 1.0, 1.0))
 
 
 def look(detector, image):
-    found = detector.look(detector.plan(Frame(1.0, 0.0, 1, image, StampKind.MEDIA)))
+    found = detector.detect(detector.plan(Frame(1.0, 0.0, 1, image, StampKind.MEDIA)))
     assert found is not None, detector.status().text
     return found
 

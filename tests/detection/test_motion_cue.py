@@ -87,7 +87,7 @@ def weighed(then, now, found, pixels_then=same_place):
     keep(cue, 1.0, then)
     comparison = cue.compare(1.1, Turned(pixels_then))
     rows, score = cue.weigh(frame(1.1, now), found, THRESHOLD, comparison)
-    return found.take(rows)._replace(score=score)
+    return found.select(rows)._replace(score=score)
 
 
 def test_a_weak_candidate_that_moved_is_shown_and_one_that_stands_still_is_as_weak_as_before():

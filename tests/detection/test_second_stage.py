@@ -71,10 +71,10 @@ def test_log_odds_are_added_weighted(tmp_path):
     stage = SecondStage(stage_net(tmp_path / "stage.onnx"))
     image = np.full((100, 200, 3), 128, np.uint8)
     image[30:70, 130:170] = 228
-    score, resize = stage.judge(image, candidates((50, 50, 20, 0.6), (150, 50, 20, 0.4)), LOOSE)
+    score, resize = stage.classify(image, candidates((50, 50, 20, 0.6), (150, 50, 20, 0.4)), LOOSE)
     assert score == pytest.approx(expit([logit(0.6) + 0.5, logit(0.4) + 2.0 + 0.5]), abs=1e-6)
     assert resize.tolist() == [1.0, 1.0]
-    assert [len(each) for each in stage.judge(image, candidates(), LOOSE)] == [0, 0]
+    assert [len(each) for each in stage.classify(image, candidates(), LOOSE)] == [0, 0]
 
 
 def test_boxes_become_as_wide_as_the_detector_draws_drones_of_the_spans_that_it_tells(tmp_path):
@@ -85,7 +85,7 @@ def test_boxes_become_as_wide_as_the_detector_draws_drones_of_the_spans_that_it_
     image[:, 170:] = 0
     found = candidates((50, 50, 20, 0.6), (130, 50, 20, 0.4), (195, 50, 12, 0.4))
     found = found._replace(size=np.array([[20.0, 10.0], [20.0, 20.0], [12.0, 12.0]]))
-    resize = stage.judge(image, found, LOOSE).resize
+    resize = stage.classify(image, found, LOOSE).resize
     # Of squares of 40 px it answers 0.2 and 0.4, which are spans of 14 and 30 px; what it says of the last is absurd.
     assert found.size[:2, 0] * resize[:2] == pytest.approx([25.0, 49.0], rel=1e-5)
     assert resize[2] == pytest.approx(1.0 / second_stage.RESIZED)
@@ -136,7 +136,7 @@ def sky_with_a_drone():
 
 
 def look(detector, frame):
-    return detector.look(detector.plan(frame))
+    return detector.detect(detector.plan(frame))
 
 
 def test_a_detector_asks_it_and_what_it_makes_unlikely_is_not_shown(tmp_path):
@@ -168,17 +168,17 @@ def test_what_is_followed_is_shown_as_before_and_looks_no_more_like_a_drone(tmp_
     detector = Detector(second_stage=never, look="whole")
     (u, v) = alone.centre[0]
     there, elsewhere = [u + 8.0, v, 9.0, 9.0, np.nan, np.nan], [u + 80.0, v, 9.0, 9.0, 30.0, 30.0]
-    seen = detector.look(detector.plan(frame, Tracks(there, elsewhere)))
+    seen = detector.detect(detector.plan(frame, Tracks(there, elsewhere)))
     assert seen.score == pytest.approx(alone.score)
     assert seen.likeness[0] < 1e-6
-    assert len(detector.look(detector.plan(frame, Tracks(elsewhere)))) == 0
+    assert len(detector.detect(detector.plan(frame, Tracks(elsewhere)))) == 0
 
 
 def test_of_a_crowd_the_last_are_not_asked_about_and_not_lost(tmp_path):
     stage = SecondStage(stage_net(tmp_path / "stage.onnx"))
     bright = np.full((100, 200), 228, np.uint8)
     crowd = candidates(*((5 * i, 50, 8, 0.6) for i in range(second_stage.SECOND_STAGE_MOST_BOXES + 3)))
-    score = stage.judge(bright, crowd, LOOSE).score
+    score = stage.classify(bright, crowd, LOOSE).score
     assert score[: second_stage.SECOND_STAGE_MOST_BOXES] == pytest.approx(expit(logit(0.6) + 2.0 + 0.5))
     assert score[second_stage.SECOND_STAGE_MOST_BOXES :] == pytest.approx(expit(logit(0.6) + 0.5))
 

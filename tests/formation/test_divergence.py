@@ -39,7 +39,7 @@ def flown(response, story, *, slew=math.inf, push=STANDSTILL, seconds=16.0):
         # A velocity is that of the last 0.3 s.
         late = [*late[1:], tuple(a + b for a, b in zip(state.velocity, beside, strict=True))]
         mean = tuple(sum(axis) / len(late) for axis in zip(*late, strict=True))
-        watch.see(state.t, told, mean)
+        watch.add_sample(state.t, told, mean)
         said.append((state.t, watch.doubt(state.t)))
     return said
 
@@ -67,7 +67,7 @@ def told(watch, seconds, commanded, velocity, begin):
     times = [begin + (k + 1) * DT for k in range(round(seconds / DT))]
     doubts = []
     for t in times:
-        watch.see(t, commanded, velocity)
+        watch.add_sample(t, commanded, velocity)
         doubts.append(watch.doubt(t))
     return doubts
 
@@ -87,15 +87,15 @@ def test_it_is_said_until_the_drone_has_obeyed_for_a_while_and_a_moment_of_it_ch
 
 def test_who_begins_in_flight_or_knew_no_velocity_has_time_to_obey():
     watch = DivergenceWatch()
-    watch.see(0.0, STANDSTILL, (4.0, 0.0, 0.0))
+    watch.add_sample(0.0, STANDSTILL, (4.0, 0.0, 0.0))
     for k in range(1, 40):
         speed = 4.0 * math.exp(-k * DT / 0.8)
-        watch.see(k * DT, STANDSTILL, (speed, 0.0, 0.0))
+        watch.add_sample(k * DT, STANDSTILL, (speed, 0.0, 0.0))
         assert watch.doubt(k * DT) is None
     for k in range(40, 100):
         # A place that leaps makes a velocity that nobody flew.
-        watch.see(k * DT, STANDSTILL, (9.0, 0.0, 0.0), usable=False)
-    watch.see(10.0, STANDSTILL, STANDSTILL)
+        watch.add_sample(k * DT, STANDSTILL, (9.0, 0.0, 0.0), usable=False)
+    watch.add_sample(10.0, STANDSTILL, STANDSTILL)
     assert watch.doubt(10.0) is None
 
 
@@ -103,7 +103,7 @@ def test_a_slot_that_gets_farther_away_although_it_is_flown_to_is_said_for_a_whi
     watch = DivergenceWatch()
     for k in range(round(DIVERGENCE_WITHIN_S / DT) + 15):
         t = k * DT
-        watch.see(t, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+        watch.add_sample(t, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
         watch.follow(t, (2.0 + 0.4 * t, 0.0, 0.0), STANDSTILL)
     assert watch.doubt(t).endswith("m farther off its slot, against its command")
     assert watch.doubt(t + DIVERGENCE_HOLDS_S) is None
@@ -113,6 +113,6 @@ def test_a_leader_that_is_faster_than_its_follower_may_fly_is_no_fault_of_the_fo
     watch = DivergenceWatch()
     for k in range(100):
         t = k * DT
-        watch.see(t, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+        watch.add_sample(t, (1.0, 0.0, 0.0), (1.0, 0.0, 0.0))
         watch.follow(t, (2.0 + 0.5 * t, 0.0, 0.0), (1.5, 0.0, 0.0))
         assert watch.doubt(t) is None

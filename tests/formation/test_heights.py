@@ -46,7 +46,7 @@ class Seen:
             )
             for drone in self.off if drifting is None else drifting:
                 self.off[drone] += drift * DT
-            watch.see(
+            watch.add_sights(
                 [
                     sight(
                         self.t,
@@ -96,7 +96,7 @@ def test_a_constant_between_two_heights_is_no_drift():
 def test_a_height_that_leaps_is_said_and_a_single_wrong_box_is_not():
     watch, seen = HeightWatch((1,)), Seen(1)
     seen.fly(watch, 10.0)
-    watch.see([sight(seen.t + 0.01, seen.constant[1] + 4.0)], seen.t + 0.01)
+    watch.add_sights([sight(seen.t + 0.01, seen.constant[1] + 4.0)], seen.t + 0.01)
     assert watch.doubt is None
     assert seen.fly(watch, 3.0) is None
     seen.off[1] = 3.0
@@ -161,8 +161,8 @@ def test_another_life_of_a_teammate_and_a_long_silence_begin_anew():
         seen.fly(watch, 20.0, 0.2)
         assert watch.doubt is not None
         t = seen.t + pause
-        watch.see([], t)
-        watch.see([sight(t + DT, 0.0, word=word)], t + DT)
+        watch.add_sights([], t)
+        watch.add_sights([sight(t + DT, 0.0, word=word)], t + DT)
         assert watch.doubt is None
 
 
@@ -170,7 +170,7 @@ def test_the_same_sight_counts_once_and_what_is_no_number_never():
     once, often = HeightWatch((1,)), HeightWatch((1,))
     for k in range(50):
         seen = sight(k * DT, 0.1 * (k % 3))
-        once.see([seen], k * DT)
+        once.add_sights([seen], k * DT)
         for _ in range(3):
-            often.see([seen, sight(k * DT + 0.01, math.nan)], k * DT)
+            often.add_sights([seen, sight(k * DT + 0.01, math.nan)], k * DT)
     assert all(a == b for a, b in itertools.zip_longest(once.drifts, often.drifts))

@@ -237,11 +237,11 @@ import threading, sys
 from swarmtrack.agents import vehicle
 from swarmtrack.detection.detector import Detector
 
-def look(self, planned):
+def detect(self, planned):
     print("stuck", flush=True)
     threading.Event().wait(3600)
 
-Detector.look = look
+Detector.detect = detect
 sys.exit(vehicle.main(["--config", sys.argv[1], "--quiet"]))
 """
 

@@ -102,7 +102,7 @@ async def test_the_page_answers_beside_hundreds_of_half_open_connections_and_an_
             assert all([await is_open(reader) for reader, _ in last])  # nobody is turned out without need
             await page.send_str("+")
             assert not page.closed
-            one.server.tell({"anything": 1})
+            one.server.broadcast({"anything": 1})
             async with asyncio.timeout(PATIENCE):
                 assert (await page.receive()).json() == {"anything": 1}
         for _, writer in guests:
@@ -228,7 +228,7 @@ async def test_with_a_certificate_the_page_comes_by_tls_and_in_no_other_way(tmp_
             assert response.status == 200
             assert "wss://localhost" in response.headers["Content-Security-Policy"]
         async with http.ws_connect(f"{url}ws", ssl=trusted) as page:
-            one.server.tell({"anything": 1})
+            one.server.broadcast({"anything": 1})
             async with asyncio.timeout(PATIENCE):
                 assert (await page.receive()).json() == {"anything": 1}
         for said in (b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"\x16\x03\x01\x00\x05junk!"):

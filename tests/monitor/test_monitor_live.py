@@ -45,7 +45,7 @@ class Somebody:
     def __init__(self) -> None:
         self.told: list[dict] = []
 
-    def tell(self, state: dict) -> None:
+    def broadcast(self, state: dict) -> None:
         self.told.append(state)
 
 

@@ -77,7 +77,7 @@ class Viewer:
         self.states: list[dict[str, Any]] = []
         self.pictures = 0
 
-    def tell(self, state: dict[str, Any]) -> None:
+    def broadcast(self, state: dict[str, Any]) -> None:
         self.states.append(json.loads(json.dumps(state, allow_nan=False)))
 
     def show(self, key: tuple[int, int], view: VideoMessage, boxes: list[dict[str, Any]]) -> None:
@@ -179,7 +179,7 @@ def test_who_says_only_what_cannot_be_read_is_counted_and_not_listed():
     """Such as a drone of another version; it has never been here, so it is not gone."""
     team, viewer = MonitoredTeam("red", ManualClock(100.0, UTC)), Viewer()
     team.on_sample(said(Kind.HEALTH, ODD, b"\x91\x02", 100.0))
-    viewer.tell(team.state())
+    viewer.broadcast(team.state())
     assert (viewer.states[-1]["drones"], viewer.states[-1]["events"][1:]) == ([], [])
     assert viewer.states[-1]["unreadable"] == 1
 
@@ -252,7 +252,7 @@ def test_when_the_flight_is_over_the_last_state_can_be_told(monkeypatch):
     team = MonitoredTeam("red", clock)
     for kind, drone_id, payload in WORDS_OF_BOTH:
         team.on_sample(said(kind, drone_id, payload, 100.0))
-    viewer.tell(team.state_at_end(FlightEnd("bad", "over", [], [], "again")))
+    viewer.broadcast(team.state_at_end(FlightEnd("bad", "over", [], [], "again")))
     assert [drone["id"] for drone in viewer.states[-1]["drones"]] == [SOUND, ODD]
 
 

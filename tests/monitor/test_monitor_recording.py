@@ -110,12 +110,12 @@ def test_a_picture_is_shown_with_the_boxes_of_its_instant(heard):
     playback = Playback(read_timeline([heard]))
     for t in (20.0, 5.0):
         at(playback, t)
-        view, tracks = playback.seen(1)
+        view, tracks = playback.view(1)
         assert view.jpeg.startswith(b"\xff\xd8")
         assert view.t_utc_s == pytest.approx(UTC + t)
         assert tracks.tracks[0].u_px == pytest.approx(100.0 + 5.0 * t)
     at(playback, 39.0)
-    assert playback.seen(3) is None  # it has been gone for long
+    assert playback.view(3) is None  # it has been gone for long
 
 
 async def test_recording_a_swarm_switches_no_camera_on_unless_asked_to(tmp_path):
@@ -136,7 +136,7 @@ async def test_recording_a_swarm_switches_no_camera_on_unless_asked_to(tmp_path)
             assert (process.returncode, was_watched) == (0, watched)
             playback = Playback(read_timeline([folder]))
             assert at(playback, playback.timeline.seconds)["light"]["text"] == "2 drones agree"
-            assert (playback.seen(1) is not None) == watched
+            assert (playback.view(1) is not None) == watched
 
 
 async def test_all_cameras_of_a_swarm_are_recorded_where_pictures_are_asked_for(tmp_path):
@@ -152,7 +152,7 @@ async def test_all_cameras_of_a_swarm_are_recorded_where_pictures_are_asked_for(
     playback = Playback(read_timeline([tmp_path]))
     playback.seek(playback.steps)
     assert playback.cameras == ((1, 0), (1, 1), (1, 2), (1, 3))
-    seen = [playback.seen(1, k)[0] for k in range(4)]
+    seen = [playback.view(1, k)[0] for k in range(4)]
     assert all(view.jpeg for view in seen)
     assert len({view.quaternion_wxyz for view in seen}) == 4
     topics = {message.topic for one in recordings_below(tmp_path) for message in one.messages()}
@@ -174,7 +174,7 @@ def test_drones_own_recordings_make_one_picture_of_the_team(flown):
         (a, b) for a in (1, 2, 3) for b in (1, 2, 3) if a != b
     }
     for drone in (1, 2, 3):
-        view, tracks = playback.seen(drone)
+        view, tracks = playback.view(drone)
         assert view.jpeg.startswith(b"\xff\xd8")
         assert {track.identity for track in tracks.tracks} == {1, 2, 3} - {drone}
     assert at(playback, 5.9)["light"]["kind"] == "ok"  # nobody is gone just because the recording ends
@@ -191,7 +191,7 @@ def test_the_map_has_the_metres_of_that_time(flown):
             assert one.distance_m == pytest.approx(np.linalg.norm(away), abs=4.0 * one.sigma_m + 0.3)
             assert one.long_m < 2.0
     for drone in (1, 2, 3):
-        shown = boxes(*playback.seen(drone))
+        shown = boxes(*playback.view(drone))
         assert all(box["distance_m"] > 1.0 for box in shown)
     playback.seek(0)
     assert all(drone["metres"] == [] for drone in playback.state()["drones"])

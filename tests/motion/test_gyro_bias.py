@@ -58,7 +58,7 @@ def fly(bias=BIAS, seconds=30, *, seed=0, sigma=0.01, told=(0.0, 0.0, 0.0), seen
             fed += 1
         attitude = seen(t[k], TRUTH[k] @ rotation.exp(sigma * rng.standard_normal(3)))
         if attitude is not None:
-            estimator.see(float(t[k]), attitude, sigma)
+            estimator.add_attitude(float(t[k]), attitude, sigma)
         yield t[k], gyro, estimator
 
 
@@ -132,8 +132,8 @@ def test_late_and_repeated_attitudes_change_nothing():
     plain, _ = end_of(fly())[2], None
     again = None
     for t, _, estimator in fly():
-        estimator.see(float(t), np.eye(3), 0.01)
-        estimator.see(float(t) - 0.3, np.eye(3), 0.01)
+        estimator.add_attitude(float(t), np.eye(3), 0.01)
+        estimator.add_attitude(float(t) - 0.3, np.eye(3), 0.01)
         again = estimator
     assert np.array_equal(plain.found.bias, again.found.bias)
 
@@ -148,7 +148,7 @@ def test_a_gap_in_the_gyro_s_samples_is_no_bias():
             gyro.append(float(t[k]), tuple(samples[k]))
             estimator.settle()
         if k % 20 == 0:
-            estimator.see(float(t[k]), TRUTH[k], 0.01)
+            estimator.add_attitude(float(t[k]), TRUTH[k], 0.01)
     assert estimator.found.bias == pytest.approx(BIAS, abs=2e-3)
 
 
@@ -162,7 +162,7 @@ def test_a_gyro_whose_stamps_jump_back_is_followed():
             gyro.append(start + float(t[k]), tuple(samples[k]))
             estimator.settle()
             if k % 20 == 0:
-                estimator.see(start + float(t[k]), TRUTH[k], 0.01)
+                estimator.add_attitude(start + float(t[k]), TRUTH[k], 0.01)
         assert estimator.found.bias == pytest.approx(BIAS, abs=2e-3)
 
 

@@ -52,7 +52,7 @@ def steps_of(attitude, *, seconds, step=lambda t: 0.0, noise=0.0, lag=0.0, pose_
         if k % int(GYRO_HZ / pose_hz) == 0:
             error = rotation.exp(noise * rng.standard_normal(3))
             pose = EgoPose(t, None, level(step(t)) @ attitude(t) @ error)
-            found += [(t, size) for size in steps.see(pose)]
+            found += [(t, size) for size in steps.add_pose(pose)]
     return found
 
 
@@ -112,7 +112,7 @@ def test_a_gyro_that_is_off_and_one_of_the_wrong_scale_find_no_step(pose_hz):
 def test_without_a_gyro_nothing_is_found_and_nothing_grows():
     steps = HeadingSteps(GyroHistory(), FORWARD)
     for k in range(5000):
-        assert steps.see(EgoPose(k / POSE_HZ, None, level(0.1 * (k > 2000)))) == []
+        assert steps.add_pose(EgoPose(k / POSE_HZ, None, level(0.1 * (k > 2000)))) == []
     assert len(steps._waiting) < 50
 
 
@@ -156,15 +156,15 @@ def test_who_was_found_flying_is_aligned_and_a_reboot_in_the_air_begins_again():
 )
 def test_an_autopilot_that_does_not_say_whether_it_flies_does_once_it_has_left(sigma, height, flies):
     known = knowledge()
-    known.see(EgoPose(0.0, np.zeros(3), np.eye(3), sigma))
-    known.see(EgoPose(1.0, np.array([0.0, 0.0, -height]), np.eye(3), sigma))
+    known.add_pose(EgoPose(0.0, np.zeros(3), np.eye(3), sigma))
+    known.add_pose(EgoPose(1.0, np.array([0.0, 0.0, -height]), np.eye(3), sigma))
     assert known.is_aligned(1.0 + HEADING_ALIGNED_AFTER_S) is flies
 
 
 def test_whoever_says_that_it_stands_is_believed_wherever_it_is():
     known = knowledge((0.0, None))
     for t in range(3):
-        known.see(EgoPose(float(t), np.array([100.0 * t, 0.0, 0.0]), np.eye(3)))
+        known.add_pose(EgoPose(float(t), np.array([100.0 * t, 0.0, 0.0]), np.eye(3)))
     assert not known.is_aligned(1e6)
 
 

@@ -174,7 +174,9 @@ def play(
         )
         stamp = exposed - offset
         exposures.append(clock.exposure(stamp, gyro))
-        clock.see(stamp, Scan(exposures[-1], rng.permutation(z), how.get("R", lambda z: None)(z)), CAMERA)
+        clock.add_scan(
+            stamp, Scan(exposures[-1], rng.permutation(z), how.get("R", lambda z: None)(z)), CAMERA
+        )
         tell(clock.found)
     return clock, np.array(exposures)
 
@@ -318,7 +320,7 @@ def feed(clock, gyro, motion, times, offset, seed=0):
             newest = t
         z = pixels(motion, exposed)
         clock.exposure(exposed - offset, gyro)
-        clock.see(exposed - offset, Scan(exposed, z + rng.standard_normal(z.shape)), CAMERA)
+        clock.add_scan(exposed - offset, Scan(exposed, z + rng.standard_normal(z.shape)), CAMERA)
 
 
 def test_gaps_repeated_stamps_and_a_gyro_that_starts_anew_are_survived():
@@ -344,7 +346,7 @@ def test_no_stamp_pixel_or_variance_is_more_than_it_can_bear(scans):
         exposure = clock.exposure(t, gyro)
         assert math.isfinite(exposure)
         with np.errstate(all="ignore"):
-            clock.see(t, Scan(exposure, z, np.tile(variance * np.eye(2), (3, 1, 1))), CAMERA)
+            clock.add_scan(t, Scan(exposure, z, np.tile(variance * np.eye(2), (3, 1, 1))), CAMERA)
     assert clock.found is None or math.isfinite(clock.found.sigma_s)
 
 

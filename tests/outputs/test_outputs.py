@@ -110,7 +110,7 @@ def test_each_camera_has_a_video_of_its_own():
 def test_the_console_says_through_which_of_several_cameras():
     stream = io.StringIO()
     console = Console(LENS, WIDE, quiet=False, stream=stream)
-    console.see(of_two_cameras())
+    console.on_scan(of_two_cameras())
     console.line([])
     assert stream.getvalue().count("of camera 1") == 2
     assert stream.getvalue().count("of camera 2") == 2
@@ -153,7 +153,7 @@ def test_the_console_says_metres_where_they_are_known():
     state = RelativeState(2, 0.0, position, np.zeros(3), 0.09 * np.eye(6), 0.04, ("size",))
     left = LENS.distort(np.array([[320.0 - 430.0 * math.tan(math.radians(12.0)), 240.0]]))[0]
     (ideal,) = LENS.undistort(left[None])
-    console.see(report(0.0, replace(track(*ideal, identity=2), relative=state)))
+    console.on_scan(report(0.0, replace(track(*ideal, identity=2), relative=state)))
     console.line([])
     assert f"drone 2: {np.linalg.norm(position):.1f} m ± 0.3, 12° left" in stream.getvalue()
 
@@ -178,7 +178,7 @@ def test_a_video_can_be_read_back_in_every_container_we_accept(tmp_path, suffix)
     path = tmp_path / f"annotated{suffix}"
     video = AnnotatedVideo(path, lossless=True)
     for k in range(3):
-        video.keep(frame(k, 0.1 * k))
+        video.add_frame(frame(k, 0.1 * k))
         video.write(report(0.1 * k, sequence=k), [])
     video.close()
     assert cv2.VideoCapture(str(path)).read()[0]
@@ -239,7 +239,7 @@ def frames_of(path, times):
     """How many frames a video has whose camera exposed at these times [s]; its rate is that of the first two."""
     video = AnnotatedVideo(path, lossless=True)
     for k, t in enumerate(times):
-        video.keep(frame(k, t))
+        video.add_frame(frame(k, t))
         video.write(report(t, sequence=k), [])
     video.close()
     capture, n = cv2.VideoCapture(str(path)), 0
@@ -273,7 +273,7 @@ def test_without_a_team_each_track_has_a_colour_and_a_way_of_its_own():
 
 def test_a_video_of_a_single_frame_is_still_a_video(tmp_path):
     video = AnnotatedVideo(tmp_path / "one.mp4", lossless=True)
-    video.keep(frame(0, 1.0))
+    video.add_frame(frame(0, 1.0))
     video.write(report(1.0, sequence=0), [])
     video.write(report(1.1, sequence=9), [])  # its frame is gone
     video.close()
@@ -287,7 +287,7 @@ def test_the_console_tells_who_is_seen_and_sums_up():
     console.line(["camera 0 Hz"])
     for k in range(4):
         scan = report(10.0 + 0.5 * k, track(320.0, 240.0, identity=2 if k else None))
-        console.see(scan)
+        console.on_scan(scan)
     console.line(["gyro 200 Hz"])
     console.line(["camera 0 Hz"])
     console.summary(["one fact"])

@@ -185,7 +185,7 @@ class Told:
             self.sequence += 1
             self.notices.see_links(link_health(link.status()) for link in (*self.cameras, self.network))
             if any(camera.ok for camera in self.cameras):
-                self.notices.see(ScanReport(self.sequence, TrackList(now, now, tracks)))
+                self.notices.on_scan(ScanReport(self.sequence, TrackList(now, now, tracks)))
             self.notices.tick(now)
 
     @property
@@ -493,7 +493,7 @@ async def test_nothing_is_said_into_a_recording():
     for data in ground.step(100.0):
         unit.received(100.0, data)
     assert dict(unit.status().counters)["frames"] == 1
-    assert not unit.tell(named_value(100.0, "trk_n", 1.0))
+    assert not unit.send_message(named_value(100.0, "trk_n", 1.0))
     assert link.sent == []
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
@@ -514,7 +514,7 @@ async def drive(unit, ground, read, write):
                     write(data)
                 if dict(unit.status().counters)["imu_samples"] > 5:
                     for message in status_text(Severity.NOTICE, "hello", 1):
-                        unit.tell(message)
+                        unit.send_message(message)
                 await asyncio.sleep(0.005)
     finally:
         task.cancel()
@@ -563,13 +563,13 @@ async def test_a_port_that_takes_no_bytes_blocks_nobody():
     unit = MavlinkAutopilot(f"serial:{os.ttyname(theirs)}:921600", clock=SystemClock())
     task = asyncio.create_task(unit.run(Listener()))
     async with asyncio.timeout(TIMEOUT):
-        while not unit.tell(named_value(0.0, "trk_n", 0.0)):
+        while not unit.send_message(named_value(0.0, "trk_n", 0.0)):
             for data in ground.step(time.monotonic()):
                 os.write(ours, data)
             await asyncio.sleep(0.01)
         # Nobody reads at the other end: far more than the kernel and we keep, and the loop still turns.
         for _ in range(10_000):
-            unit.tell(next(status_text(Severity.INFO, "x" * 50, 1)))
+            unit.send_message(next(status_text(Severity.INFO, "x" * 50, 1)))
         await asyncio.sleep(0)
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)

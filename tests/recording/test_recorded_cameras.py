@@ -60,7 +60,7 @@ def test_the_detector_sees_the_recorded_frames_of_each_camera_anew(tmp_path):
         def plan(self, frame, expectation):
             return frame
 
-        def look(self, frame):
+        def detect(self, frame):
             shades.setdefault(frame.camera, []).append((frame.sequence, round(float(frame.image.mean()))))
             empty = np.empty((0, 2))
             return Detections(frame.t, frame.sequence, empty, empty, np.empty(0), camera=frame.camera)
@@ -85,7 +85,7 @@ def test_the_page_of_a_recording_shows_the_pictures_of_each_camera(tmp_path):
         (88, 1),
     ]
     for camera, shade in ((0, 40), (1, 100)):
-        view, tracks = playback.seen(3, camera)
+        view, tracks = playback.view(3, camera)
         picture = cv2.imdecode(np.frombuffer(view.jpeg, np.uint8), cv2.IMREAD_GRAYSCALE)
         assert round(float(picture.mean())) == shade
         (box,) = boxes(view, tracks, camera, playback.rig(3))
@@ -177,7 +177,7 @@ def test_what_is_wrong_with_a_video_is_said_of_the_option(tmp_path, capsys, monk
 def test_eight_pictures_fit_into_one_and_each_has_its_place():
     tiles = Tiles([(640, 480)] * 8)
     for k in range(8):
-        tiles.put(k, np.full((480, 640, 3), 20 * (k + 1), np.uint8))
+        tiles.paste(k, np.full((480, 640, 3), 20 * (k + 1), np.uint8))
     height, width, _ = tiles.picture.shape
     assert width <= WIDEST_TILED_PX + 8
     assert height % 2 == width % 2 == 0

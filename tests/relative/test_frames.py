@@ -38,7 +38,7 @@ def flown(shift, turn, seconds=20.0, *, still=False, boot="0000000a", seed=1, be
         rho = np.linalg.norm(place)
         ray = place / rho + 3e-3 * rng.normal(size=3)
         width = 0.5 / rho * np.exp(0.1 * rng.normal())
-        frames.see(
+        frames.add_look(
             TeamLook(
                 t, np.zeros(3), np.zeros(3), ((2, 9),), ray[None] / np.linalg.norm(ray), 1e-5 * np.eye(3)[None],
                 np.array([width]), np.ones(1),
@@ -46,10 +46,10 @@ def flown(shift, turn, seconds=20.0, *, still=False, boot="0000000a", seed=1, be
         )  # fmt: skip
         if beside:
             nobody = np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0), np.empty(0)
-            frames.see(TeamLook(t + 0.03, np.zeros(3), np.zeros(3), (), *nobody))
+            frames.add_look(TeamLook(t + 0.03, np.zeros(3), np.zeros(3), (), *nobody))
         if k % 5 == 0:
             said = back @ (place - shift) + 0.03 * rng.normal(size=3)
-            found = frames.hear(SightingReport(2, boot, k, t + 0.03, 0.01, said, 0.1, (1,), ()))
+            found = frames.add_report(SightingReport(2, boot, k, t + 0.03, 0.01, said, 0.1, (1,), ()))
             news += [found] if found else []
     return frames, news
 

@@ -90,5 +90,5 @@ def test_who_is_not_detected_not_named_or_has_said_nothing_is_left_out():
     assert said.sights(look(1.0, seen=False), states()) == ()
     assert said.sights(look(1.0), states(drone=3)) == ()
     assert said.sights(look(1.0), {}) == ()
-    said.forget(1)
+    said.remove(1)
     assert said.sights(look(1.0), states()) == ()

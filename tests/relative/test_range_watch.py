@@ -10,7 +10,7 @@ def news(watch: RangeWatch, verdicts: list[bool], t0: float = 0.0, other: int = 
     """Ten distances in each second."""
     found = []
     for k, believed in enumerate(verdicts):
-        one = watch.see(RangeReport(1, other, t0 + 0.1 * k, 0.0, 208.0, 0.1), believed=believed)
+        one = watch.add_range(RangeReport(1, other, t0 + 0.1 * k, 0.0, 208.0, 0.1), believed=believed)
         if one is not None:
             found.append(one)
     return found

@@ -416,7 +416,7 @@ def test_reading_again_is_reading_the_same_and_never_what_was_before_a_change():
     states.observe(look(t + DT, PLACE))
     assert np.trace(only(states, t + DT).cov) < np.trace(told.cov) + 1.0
     assert only(states, t + DT + 0.05).t == t + DT + 0.05
-    states.forget(2)
+    states.reset(2)
     assert states.at(t + DT, STILL) == {}
 
 

@@ -99,8 +99,8 @@ class Noted:
     def __getattr__(self, name):
         return getattr(self._detector, name)
 
-    def look(self, look):
-        found = self._detector.look(look)
+    def detect(self, look):
+        found = self._detector.detect(look)
         self.looks.append(look)
         self.found.append(
             (found.t, found.sequence, found.coverage, *map(bytes, (found.centre, found.size, found.score)))

@@ -43,7 +43,7 @@ class Sky:
     def intended(self):
         return self.mode
 
-    def look(self, now): ...
+    def poll(self, now): ...
 
     def command(self, command, now):
         return None

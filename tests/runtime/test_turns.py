@@ -152,13 +152,13 @@ async def test_what_is_taken_is_the_newest_when_the_turn_has_come_and_nothing_el
     await frames.arrived()
     camera.sees(2)
     camera.sees(3)
-    taken = await frames.take()
+    taken = await frames.get()
     assert taken is not None
     assert taken.sequence == 3
     assert camera.decoded == [3]
     await camera.close()
     await frames.arrived()
-    assert await frames.take() is None
+    assert await frames.get() is None
     assert frames.ended
 
 
@@ -170,14 +170,14 @@ async def test_a_frame_that_is_none_keeps_the_turn_for_a_moment_only_and_the_nex
     frames = NewestFrames(camera)
     camera.sees(1, damaged=True)
     await frames.arrived()
-    assert await frames.take() is None
+    assert await frames.get() is None
     assert not frames.ended
     waiting = asyncio.create_task(frames.arrived())
     await settled()
     assert not waiting.done()
     camera.sees(2)
     await asyncio.wait_for(waiting, 5.0)
-    taken = await frames.take()
+    taken = await frames.get()
     assert taken is not None
     assert taken.sequence == 2
     frames.close()
@@ -204,7 +204,7 @@ async def test_a_camera_that_does_not_announce_its_frames_has_them_taken_all_the
     frames, seen = NewestFrames(Reel(0.0, 0.5)), []
     while not frames.ended:
         await frames.arrived()
-        taken = await frames.take()
+        taken = await frames.get()
         seen += [] if taken is None else [taken.t]
     assert seen == [0.0, 0.5]
 

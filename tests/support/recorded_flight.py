@@ -160,7 +160,7 @@ def _happen(flights, flight, scenario, what, index, t) -> None:
             report = flight.door.perceived.sighting_report(flight.boot, index + 1)
             if report is None:
                 return
-            flight.recorder.said(report)
+            flight.recorder.record_sighting(report)
             for other in flights.values():
                 if other is not flight:  # 20 ms of radio that nobody knows of
                     heard_t = other.begin + (report.t - begin) + 0.02

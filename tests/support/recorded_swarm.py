@@ -37,7 +37,7 @@ def record_swarm(folder: Path, seconds: float = 40.0, *, tracks_hz: float = 5.0,
     def say(t: float, kind: Kind, drone: int, payload: bytes, *rest: str, alive: bool = True) -> None:
         clock.set(100.0 + t)
         sample = Sample(keys.key(TEAM, kind, drone, *rest), payload, alive, clock.now())
-        recorder.heard(sample, clock.now(), clock.utc())
+        recorder.record_sample(sample, clock.now(), clock.utc())
 
     for drone in PLACES:
         say(0.0, Kind.ALIVE, drone, b"", f"{drone:08x}")

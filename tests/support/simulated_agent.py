@@ -81,7 +81,7 @@ class ScriptedCamera:
 
     async def frames(self):
         exposing = asyncio.create_task(self._expose())
-        while (frame := await self._slot.take()) is not None:
+        while (frame := await self._slot.get()) is not None:
             self._slot.source.given(frame.t, frame.t_sigma)
             yield frame
         await exposing
@@ -91,7 +91,7 @@ class ScriptedCamera:
         while not self._slot.ended:
             k += 1
             await asyncio.sleep(start + k * self._period - self._clock.now())
-            self._slot.source.say(not self.away, "unplugged; waiting for it" if self.away else "open")
+            self._slot.source.report(not self.away, "unplugged; waiting for it" if self.away else "open")
             if not self.away and not self.silent:
                 t = self._clock.now() - self.age_s
                 self._slot.put(Frame(t, 1e-4, k, IMAGE, StampKind.EXPOSURE))
@@ -111,7 +111,7 @@ class ScriptedDetector:
     def plan(self, frame: Frame, expectation: object) -> Frame:
         return frame
 
-    def look(self, frame: Frame) -> Detections:
+    def detect(self, frame: Frame) -> Detections:
         size = np.full((1, 2), 6.0)
         scatter = 0.5 * np.random.default_rng(frame.sequence).standard_normal((1, 2))
         return Detections(frame.t, frame.sequence, np.array([[32.0, 24.0]]) + scatter, size, np.array([0.9]))

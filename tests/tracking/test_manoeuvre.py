@@ -506,7 +506,7 @@ def test_it_stays_sound_whatever_happens_for_twenty_thousand_steps():
                 assert_positive(merged(mixture)[1])
             gone = np.abs(mixture.mean[:, :, 0:4:2] - [320.0, 240.0]).max(axis=(1, 2)) > 500.0
             if gone.any():
-                mixture = joined(mixture.take(np.flatnonzero(~gone)), fresh(int(gone.sum())))
+                mixture = joined(mixture.select(np.flatnonzero(~gone)), fresh(int(gone.sum())))
 
 
 @pytest.mark.parametrize("scale", [1e2, 1e4, 1e6])

@@ -64,7 +64,7 @@ def assert_hangs_together(tracker):
     side = np.sqrt(np.einsum("njii->nji", motion.cov))
     assert np.linalg.eigvalsh(motion.cov / side[..., :, None] / side[..., None, :]).min(initial=1.0) > 0.0
     # what is published is the leaf that is shown; a tentative track's is all there is of it
-    mean, cov = manoeuvre.merged(motion.take(best))
+    mean, cov = manoeuvre.merged(motion.select(best))
     np.testing.assert_allclose(table.mean, mean, rtol=1e-12, atol=1e-12)
     np.testing.assert_allclose(table.cov, cov, rtol=1e-12, atol=1e-12)
     tentative = ~table.confirmed

@@ -133,7 +133,7 @@ def test_a_turn_that_begins_teaches_nothing_of_detections():
         for k in range(60):
             e = told if k % 2 else -told
             pairs = SurePairs(np.arange(4), np.arange(4), e, np.full(4, 0.5), np.ones(4), np.full(4, 12.5))
-            noise.learn(pairs, size, steady=steady)
+            noise.update(pairs, size, steady=steady)
     R = np.tile(np.eye(2), (1, 1, 1))
     assert scales[False].applied(R, size[:1])[0] == pytest.approx(np.eye(2))
     assert scales[True].applied(R, size[:1])[0, 0, 0] > 4.0
@@ -147,8 +147,8 @@ def test_one_scan_that_is_missing_parts_neighbours():
     )
     one = SurePairs(np.array([7]), np.array([0]), np.zeros((1, 2)), np.full(1, 0.5), np.ones(1), np.zeros(1))
     for _ in range(50):
-        noise.learn(one, size, steady=True)
-        noise.learn(none, np.empty((0, 2)), steady=True)
+        noise.update(one, size, steady=True)
+        noise.update(none, np.empty((0, 2)), steady=True)
     assert noise.measured is None
     assert noise.motion == 1.0
 

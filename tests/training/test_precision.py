@@ -52,7 +52,7 @@ def test_fewer_bits_find_the_same_drones_in_a_smaller_file(data, tmp_path, capsy
     compared = 0
     for image in skies(12, 2):
         a, b = (
-            detector.look(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
+            detector.detect(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
             for detector in (whole, small)
         )
         if len(a.score) == len(b.score) == 1:

@@ -123,10 +123,10 @@ def test_a_training_of_a_few_steps_writes_a_stage_that_flies_and_is_the_same_twi
     assert "candidates to train on" in capsys.readouterr().err
     detector = Detector(second_stage=out[0], score_threshold=0.01)
     image = load_frames(data)[0].image
-    seen = detector.look(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
+    seen = detector.detect(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
     alone = Detector(second_stage="none", score_threshold=0.01)
     assert len(seen.likeness) >= 1
-    assert seen.score[0] != alone.look(alone.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))).score[0]
+    assert seen.score[0] != alone.detect(alone.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA))).score[0]
 
 
 @pytest.mark.parametrize(

@@ -220,7 +220,9 @@ def test_the_papers_network_is_trained_and_exported_too(tmp_path):
     options = ["train", "--network", "resnet34", "--batch", "2", "--crop", "64", "--iterations", "1"]
     assert main([*options, "--out", str(out)]) == 0
     detector = Detector(out)
-    found = detector.look(detector.plan(Frame(0.0, 0.0, 0, np.zeros((64, 96, 3), np.uint8), StampKind.MEDIA)))
+    found = detector.detect(
+        detector.plan(Frame(0.0, 0.0, 0, np.zeros((64, 96, 3), np.uint8), StampKind.MEDIA))
+    )
     assert found is not None
     assert 95 < out.stat().st_size / 1e6 < 130
 

@@ -30,7 +30,7 @@ def fly(pacing: Pacing, t: float, seconds: float, waiting: Waiting = CLEAR, *, l
         now = t + step / 50
         said += pacing.allows(MESSAGE, listeners, now, tracks=True)
         if step % 10 == 9:
-            pacing.look(waiting, now)
+            pacing.adjust(waiting, now)
     return said
 
 
@@ -101,7 +101,7 @@ def test_of_two_means_the_sample_between_them_is_known_and_one_late_answer_is_no
     mean, seen = 0.01, []
     for sample in (0.01, 0.01, 1.0, 0.01, 1.0, 1.0, 1.0, 0.01):
         mean += (sample - mean) / 8
-        seen.append(congestion.see({"peer": link("radio", rtt=mean)}).delay_s)
+        seen.append(congestion.measure({"peer": link("radio", rtt=mean)}).delay_s)
     # The shortest of three in a row.
     assert seen == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.99, 0.0], abs=1e-6)
 
@@ -109,16 +109,18 @@ def test_of_two_means_the_sample_between_them_is_known_and_one_late_answer_is_no
 def test_one_bad_link_is_no_full_radio_and_a_good_cable_does_not_hide_one():
     congestion = Congestion()
     radio = {str(i): link("radio", rtt=1.01 if i == 0 else 0.01) for i in range(3)}
-    assert congestion.see(radio).delay_s == 0.0
+    assert congestion.measure(radio).delay_s == 0.0
     cable = {f"cable {i}": link("cable", rtt=0.01) for i in range(5)}
     slow = {f"slow {i}": link("radio", rtt=1.01) for i in range(2)}
-    assert Congestion().see(cable | slow).delay_s == pytest.approx(1.0)
-    assert congestion.see({}) == CLEAR
+    assert Congestion().measure(cable | slow).delay_s == pytest.approx(1.0)
+    assert congestion.measure({}) == CLEAR
 
 
 def test_an_answer_that_does_not_come_is_late_and_bytes_that_wait_are_told():
-    assert Congestion().see({"peer": link("radio", rtt=0.01, unanswered=1.5)}).delay_s == pytest.approx(1.0)
-    assert Congestion().see({"peer": link("radio", rtt=0.01, unsent=5)}).unsent == 5
+    assert Congestion().measure({"peer": link("radio", rtt=0.01, unanswered=1.5)}).delay_s == pytest.approx(
+        1.0
+    )
+    assert Congestion().measure({"peer": link("radio", rtt=0.01, unsent=5)}).unsent == 5
 
 
 @pytest.mark.skipif(not DESCRIPTORS.exists(), reason="this system lists no descriptors")

@@ -17,7 +17,7 @@ TCP_THIN_LINEAR_TIMEOUTS = 16  # of linux/tcp.h
 def test_who_says_nothing_is_asked_and_after_a_lease_told_of_once_and_when_it_is_heard_again() -> None:
     silence = Silence(LEASE_S)
     assert silence.news([2, 3], 0.0) == []
-    silence.heard(3, 1.5)
+    silence.mark_heard(3, 1.5)
     assert silence.to_ask([2, 3], 1.6) == [2]
     assert silence.news([2, 3], 2.0) == []
     assert silence.news([2, 3], 2.1) == [
@@ -25,7 +25,7 @@ def test_who_says_nothing_is_asked_and_after_a_lease_told_of_once_and_when_it_is
     ]
     assert list(silence.silent([2, 3], 2.1)) == [2]
     assert silence.news([2, 3], 3.0) == []
-    silence.heard(2, 3.2)
+    silence.mark_heard(2, 3.2)
     assert silence.news([2, 3], 3.3) == ["network: drone 2 is received again"]
 
 
@@ -40,7 +40,7 @@ def test_who_is_gone_is_not_silent_and_begins_anew_when_it_comes_back() -> None:
 def test_one_that_is_deaf_behind_a_link_that_stands_has_the_links_made_anew_though_others_are_heard() -> None:
     silence = Silence(LEASE_S)
     silence.news([2, 3], 0.0)
-    silence.heard(3, 4.0)
+    silence.mark_heard(3, 4.0)
     assert silence.to_reopen([2, 3], 4.0) == []
     assert silence.to_reopen([2, 3], 4.1) == [2]
 
@@ -49,14 +49,14 @@ def test_whoever_stays_silent_costs_the_others_their_links_ever_more_rarely() ->
     silence = Silence(LEASE_S)
     silence.news([2], 0.0)
     assert silence.to_reopen([2], 5.0) == [2]
-    silence.forget()
+    silence.clear()
     silence.news([2], 6.0)
     assert silence.to_reopen([2], 21.9) == []
     assert silence.to_reopen([2], 22.1) == [2]
-    silence.forget()
+    silence.clear()
     silence.news([2], 23.0)
     assert silence.to_reopen([2], 86.9) == []
-    silence.heard(2, 88.0)
+    silence.mark_heard(2, 88.0)
     assert silence.to_reopen([2], 92.1) == [2]
 
 
@@ -64,9 +64,9 @@ def test_links_are_left_in_peace_for_a_while_after_they_were_made_anew() -> None
     silence = Silence(LEASE_S)
     silence.news([2], 0.0)
     assert silence.to_reopen([2], 5.0) == [2]
-    silence.forget()
+    silence.clear()
     silence.news([2, 3], 6.0)
-    silence.heard(2, 17.0)
+    silence.mark_heard(2, 17.0)
     assert silence.to_reopen([2, 3], 17.0) == []
     assert silence.to_reopen([2, 3], 5.0 + REOPEN_REST_S) == [3]
 

@@ -186,7 +186,7 @@ async def test_a_bridge_keeps_order_and_drops_the_oldest_when_full() -> None:
     bridge = Bridge(got.append, capacity=3, clock=ManualClock())
     samples = [Sample(f"key/{i}", b"", True, 0.0) for i in range(5)]
     for sample in samples:
-        bridge.put(sample)
+        bridge.enqueue(sample)
     await asyncio.sleep(0)
     assert got == samples[2:]
     assert bridge.dropped == 2
@@ -196,8 +196,8 @@ async def test_a_bridge_of_newest_keeps_the_last_word_on_each_key() -> None:
     got: list[Sample] = []
     bridge = Bridge(got.append, capacity=3, newest_per_key=1, clock=ManualClock())
     for alive in (True, False, True, False):
-        bridge.put(Sample("alive/1", b"", alive, 0.0))
-        bridge.put(Sample("alive/2", b"", not alive, 0.0))
+        bridge.enqueue(Sample("alive/1", b"", alive, 0.0))
+        bridge.enqueue(Sample("alive/2", b"", not alive, 0.0))
     await asyncio.sleep(0)
     assert got == [Sample("alive/1", b"", False, 0.0), Sample("alive/2", b"", True, 0.0)]
     assert (bridge.dropped, bridge.superseded) == (0, 6)
@@ -213,7 +213,7 @@ async def test_a_link_lost_and_found_within_a_moment_does_not_look_as_if_it_had_
     bridge = Bridge(on_token, newest_per_key=2, clock=ManualClock())
     for moment, expected in (([True], 1), ([False, True], 3), ([False, True, False, True], 5)):
         for alive in moment:
-            bridge.put(Sample("alive/2/0000000b", b"", alive, 0.0))
+            bridge.enqueue(Sample("alive/2/0000000b", b"", alive, 0.0))
         async with asyncio.timeout(PATIENCE):
             while len(told) < expected:  # noqa: ASYNC110
                 await asyncio.sleep(0)
@@ -225,8 +225,8 @@ async def test_whoever_floods_a_bridge_replaces_only_its_own_and_waits_its_turn(
     got: list[Sample] = []
     bridge = Bridge(got.append, newest_per_key=2, clock=ManualClock())
     for i in range(10_000):
-        bridge.put(Sample("flood", b"%d" % i, True, 0.0))
-    bridge.put(Sample("quiet", b"", True, 0.0))
+        bridge.enqueue(Sample("flood", b"%d" % i, True, 0.0))
+    bridge.enqueue(Sample("quiet", b"", True, 0.0))
     await asyncio.sleep(0)
     assert [sample.payload for sample in got] == [b"9998", b"", b"9999"]
     assert (bridge.dropped, bridge.superseded) == (0, 9998)
@@ -237,7 +237,7 @@ async def test_a_bridge_lets_the_loop_turn_between_two_handfuls() -> None:
     got: list[Sample] = []
     bridge = Bridge(got.append, clock=ManualClock())
     for i in range(1000):
-        bridge.put(Sample(f"key/{i}", b"", True, 0.0))
+        bridge.enqueue(Sample(f"key/{i}", b"", True, 0.0))
     taken = [0]
     async with asyncio.timeout(PATIENCE):
         while len(got) < 1000:
@@ -257,9 +257,9 @@ async def test_a_sample_that_cannot_be_taken_does_not_stop_the_next() -> None:
         good.set()
 
     bridge = Bridge(receive, clock=ManualClock())
-    bridge.put(Sample("bad", b"", True, 0.0))
+    bridge.enqueue(Sample("bad", b"", True, 0.0))
     await asyncio.sleep(0)
-    bridge.put(Sample("good", b"", True, 0.0))
+    bridge.enqueue(Sample("good", b"", True, 0.0))
     await asyncio.wait_for(good.wait(), PATIENCE)
     assert len(reported) == 1
 

@@ -242,7 +242,7 @@ class SimulatedVehicle:
         if now >= self._reboots_at:
             self.reboot(now)
         if now >= self.pilot.due:
-            self.pilot.look(now)
+            self.pilot.poll(now)
         for severity, text in self.pilot.take_texts():
             for each in self.channels:
                 each.send(common.MAVLink_statustext_message(severity, text.encode()))
@@ -255,7 +255,7 @@ class SimulatedVehicle:
                 if CURRENT_MODE in self.offered:
                     each.send(self._current_mode())
         channel = self.channels[port]
-        frames = channel.take()
+        frames = channel.drain()
         if now >= channel.heartbeat_due:
             channel.heartbeat_due = now + HEARTBEAT_EVERY
             frames.append(channel.frame(self._heartbeat()))

@@ -100,7 +100,7 @@ class Channel:
         """Somebody else's message, untouched: it keeps its sender, its number and its signature."""
         self._outbox.append(frame)
 
-    def take(self) -> list[bytes]:
+    def drain(self) -> list[bytes]:
         """What waits to be sent."""
         frames, self._outbox = self._outbox, []
         return frames

@@ -62,10 +62,10 @@ class Pilot(Protocol):
 
     @property
     def due(self) -> float:
-        """When `look` has something to see, at the latest."""
+        """When `poll` has something to see, at the latest."""
         ...
 
-    def look(self, now: float) -> None:
+    def poll(self, now: float) -> None:
         """At what happened by itself."""
         ...
 
@@ -99,9 +99,9 @@ class OnItsPath:
         self.armed, self.status = False, int(common.MAV_STATE_STANDBY)
         self.landed = int(common.MAV_LANDED_STATE_ON_GROUND)
         self.due = math.inf
-        self.look(-math.inf)
+        self.poll(-math.inf)
 
-    def look(self, now: float) -> None:
+    def poll(self, now: float) -> None:
         if now >= self._takes_off_at - ARMED_BEFORE_S:
             self.armed, self.due = True, self._takes_off_at
         else:
@@ -237,7 +237,7 @@ class GuidedPilot:
         texts, self._texts = self._texts, []
         return texts
 
-    def look(self, now: float) -> None:
+    def poll(self, now: float) -> None:
         self._looked = now
         t = now - self._epoch
         down = self._believed(t).position[2]
@@ -259,7 +259,7 @@ class GuidedPilot:
     # ── commands ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def command(self, command: Any, now: float) -> int | None:
-        self.look(now)
+        self.poll(now)
         t = now - self._epoch
         match command.command:
             case common.MAV_CMD_COMPONENT_ARM_DISARM:
@@ -294,7 +294,7 @@ class GuidedPilot:
 
     def steer(self, message: Any, now: float) -> None:
         """Set points are listened to in guided flight only, but PX4 wants to hear them before it begins."""
-        self.look(now)
+        self.poll(now)
         t = now - self._epoch
         state, drone = self._believed(t), self._drone
         if message.get_type() == "SET_POSITION_TARGET_LOCAL_NED":
@@ -317,7 +317,7 @@ class GuidedPilot:
             self._fire(PilotEvent.TAKE_OFF)
             drone.take_off(t, point)
         if self._fire(PilotEvent.STEER):
-            drone.tell(t, point)
+            drone.command(t, point)
 
     def _return(self, t: float) -> None:
         """Out of a failsafe, back into what is intended, as PX4 does once set points stream again."""
@@ -389,7 +389,7 @@ class GuidedPilot:
         """Enter a mode with what it begins with: in the air, to stop."""
         self._mode = mode
         if self._fire(PilotEvent.STEER):
-            self._drone.tell(t, SetPoint(LASTING_SETPOINT_T, velocity=NO_MOTION))
+            self._drone.command(t, SetPoint(LASTING_SETPOINT_T, velocity=NO_MOTION))
 
     def _take_off(self, height: float, t: float) -> bool:
         firmware, ground = self._firmware, self._drone.start[2]
@@ -422,7 +422,7 @@ class GuidedPilot:
     def _land(self, t: float) -> bool:
         self._mode = self._intended = FlightMode.LAND
         if self._fire(PilotEvent.LAND):
-            self._drone.tell(t, SetPoint(LASTING_SETPOINT_T, velocity=(0.0, 0.0, LAND_SPEED)))
+            self._drone.command(t, SetPoint(LASTING_SETPOINT_T, velocity=(0.0, 0.0, LAND_SPEED)))
         return True
 
     def _turn(self, angle: float, *, relative: bool, t: float) -> bool:
@@ -442,7 +442,7 @@ class GuidedPilot:
         self._mode = self._intended = FlightMode.GUIDED if guided else FlightMode.HOLD
         self._fire(PilotEvent.STEER)
         point = SetPoint(t, position=place, yaw=None if math.isnan(command.param4) else command.param4)
-        self._drone.tell(t, _moved(point, self._off_on_earth(command.frame)))
+        self._drone.command(t, _moved(point, self._off_on_earth(command.frame)))
         return True
 
     # ── the table ────────────────────────────────────────────────────────────────────────────────────────────────────

@@ -139,14 +139,14 @@ async def fly(
             emulator.narrow(radio.kbit_s)
         folder = Path(tempfile.mkdtemp(prefix="swarmtrack-sim-"))
         if plan.keep:
-            spectator.keep(f"configs and logs: {folder}")
+            spectator.print_line(f"configs and logs: {folder}")
         children = await stack.enter_async_context(Children(folder, keep=plan.keep))
         flight = _SwarmFlight(
             plan, flown, capacity, folder=folder, children=children, emulator=emulator, spectator=spectator
         )
         report = await flight.run()
         if flight.page is not None:
-            flight.page.tell(flight_end(report, plan.record))
+            flight.page.finish(flight_end(report, plan.record))
             await children.end_all(but=flight.page.child)
             spectator.close()
             if landed is not None:
@@ -230,9 +230,9 @@ class _SwarmFlight:
         )
         with self._recorded_to_its_end(), ungrouped(ProcessDied):
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(watch.hear(self._recording.heard(listener.samples())), name="hear")
+                tasks.create_task(watch.listen(self._recording.tee(listener.samples())), name="hear")
                 background = [
-                    tasks.create_task(watch.judge(), name="judge"),
+                    tasks.create_task(watch.evaluate(), name="judge"),
                     tasks.create_task(self._show(), name="show"),
                     tasks.create_task(self._start_agents(), name="agents"),
                     *(tasks.create_task(self._play(fault), name=str(fault.kind)) for fault in self._faults()),
@@ -260,7 +260,7 @@ class _SwarmFlight:
                 where = ready["drones"][str(drone_id)]["ground"]
                 self._spectator.note(f"drone {drone_id}: a ground station flies it at {where}")
         for line in self._how_to_listen():
-            self._spectator.keep(line)
+            self._spectator.print_line(line)
 
     @contextlib.contextmanager
     def _recorded_to_its_end(self) -> Iterator[None]:
@@ -360,7 +360,7 @@ class _SwarmFlight:
             patience_s=SIMULATOR_PATIENCE_S,
             show=screen,
         )
-        self._spectator.keep(page.said)
+        self._spectator.print_line(page.said)
         return page
 
     def _simulator_arguments(self) -> list[str]:
@@ -455,7 +455,7 @@ class _SwarmFlight:
         self._spectator.note("starting the agents …")
         while True:
             self._spectator.show(self._watch)
-            self._load.look(self._watch.t)
+            self._load.sample(self._watch.t)
             await asyncio.sleep(1.0 / SHOW_HZ)
 
     def _faults(self) -> Iterator[ScenarioFault]:

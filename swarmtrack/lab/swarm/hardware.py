@@ -68,7 +68,7 @@ class CameraClient:
         self._newest = part
         self._changed.set()
 
-    async def take(self) -> bytes:
+    async def get(self) -> bytes:
         await self._changed.wait()
         self._changed.clear()
         assert self._newest is not None
@@ -151,7 +151,7 @@ class CameraHardware:
         self._watched.set()
         try:
             while True:
-                yield await watcher.take()
+                yield await watcher.get()
         finally:
             self._watchers.discard(watcher)
             if not self._watchers:
@@ -455,7 +455,7 @@ async def tell_truth(drones: Mapping[int, GuidedDrone], followers: Followers, ti
     while True:
         t = time.now()
         for drone_id, drone in drones.items():
-            followers.put(told(drone_id, ToldPose(t, drone.pose(t))))
+            followers.send(told(drone_id, ToldPose(t, drone.pose(t))))
         await asyncio.sleep(TRUTH_EVERY)
 
 

@@ -56,7 +56,7 @@ class MachineLoad:
         self._began = self._ticks()
         self._looks: list[tuple[float, _Ticks]] = []
 
-    def look(self, t: float) -> None:
+    def sample(self, t: float) -> None:
         """To be called a few times a second. t [s] by any clock that only rises."""
         ticks = self._ticks()
         if ticks is not None:

@@ -84,8 +84,8 @@ class Outside:
             if self._epoch is None:
                 return
             t = truth.t - self._epoch
-            if outsider.drone.tell(t, truth.pose):
-                self.followers.put(told(drone_id, ToldPose(t, truth.pose)))
+            if outsider.drone.add_pose(t, truth.pose):
+                self.followers.send(told(drone_id, ToldPose(t, truth.pose)))
                 self.time.passed()
 
         return take
@@ -134,7 +134,7 @@ class Outside:
 
     def _say(self, text: str) -> None:
         log.warning("%s", text)
-        self.followers.put(said(text))
+        self.followers.send(said(text))
 
 
 async def simulate_outside(

@@ -22,7 +22,7 @@ class FlightPage:
         self.child = child
         self.said = said
 
-    def tell(self, end: FlightEnd) -> None:
+    def finish(self, end: FlightEnd) -> None:
         """The flight is over. The page keeps what it shows now, and this."""
         assert self.child.process.stdin is not None
         if self.child.process.returncode is None:

@@ -70,13 +70,13 @@ class FlightRecording:
         )
         write_events(self.folder / EVENTS_FILE, self.scenario, self.epoch)
 
-    async def heard(self, samples: AsyncIterator[Sample]) -> AsyncIterator[Sample]:
+    async def tee(self, samples: AsyncIterator[Sample]) -> AsyncIterator[Sample]:
         """The same samples, each recorded before it is looked at."""
         async for sample in samples:
             now, utc = self.clock.now(), self.clock.utc()
             self.hearing.set(now, utc)
             if self._recorder is not None:
-                self._recorder.heard(sample, now, utc)
+                self._recorder.record_sample(sample, now, utc)
             yield sample
 
     def flown(self, event: str, drone_id: int) -> None:

@@ -34,7 +34,7 @@ class Spectator(Protocol):
     def note(self, text: str) -> None:
         """What is being done, before and after the flight."""
 
-    def keep(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         """What somebody may want to copy while the flight goes on."""
 
     def show(self, watch: Watch) -> None:
@@ -54,7 +54,7 @@ class LiveTable:
     def note(self, text: str) -> None:
         self._live.update(Text(text, style="dim"), refresh=True)
 
-    def keep(self, text: str) -> None:
+    def print_line(self, text: str) -> None:
         self._live.console.print(text, highlight=False, soft_wrap=True)
 
     def show(self, watch: Watch) -> None:
@@ -75,7 +75,7 @@ class PlainLines:
     def note(self, text: str) -> None:
         self._console.print(text, highlight=False, soft_wrap=True)
 
-    keep = note
+    print_line = note
 
     def show(self, watch: Watch) -> None:
         second = math.floor(watch.t)
@@ -98,7 +98,7 @@ class NoTable:
     """For programs."""
 
     def note(self, text: str) -> None: ...
-    def keep(self, text: str) -> None: ...
+    def print_line(self, text: str) -> None: ...
     def show(self, watch: Watch) -> None: ...
     def close(self) -> None: ...
 

@@ -43,7 +43,7 @@ class Followers:
     def __init__(self) -> None:
         self._queues: set[asyncio.Queue[bytes | None]] = set()
 
-    def put(self, record: dict[str, Any]) -> None:
+    def send(self, record: dict[str, Any]) -> None:
         line = json.dumps(record).encode() + b"\n"
         for queue in list(self._queues):
             if queue.qsize() >= TRUTH_SAMPLES_KEPT:
@@ -78,7 +78,7 @@ async def follow_truth(url: str, drones: Mapping[int, FollowedDrone], on_said: C
                 if "said" in record:
                     on_said(record["said"])
                 else:
-                    drones[record["id"]].tell(record["t_s"], _pose(record))
+                    drones[record["id"]].add_pose(record["t_s"], _pose(record))
             reason = "it closed the connection"
         except ClientPayloadError:
             reason = "the connection broke off"

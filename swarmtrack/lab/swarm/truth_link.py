@@ -148,7 +148,7 @@ class TruthLink:
                 common.MAV_RESULT_IN_PROGRESS,
             )
         elif frame.system in self._systems and self._is_followed(frame.system):
-            for truth in self._reader.take(message, t):
+            for truth in self._reader.read(message, t):
                 self._take(truth, t)
         return frame.system in self._systems
 

@@ -62,7 +62,7 @@ class TruthReader:
         self._by_arrival = False
         self._pending: tuple[float, Any] | None = None
 
-    def take(self, message: Any, arrival: float) -> list[TrueSample]:
+    def read(self, message: Any, arrival: float) -> list[TrueSample]:
         """What the message says, or lets be said of an earlier one; arrival: on our clock [s]."""
         match message.get_msgId():
             case common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION:

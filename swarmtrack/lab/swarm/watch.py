@@ -160,7 +160,7 @@ class Watch:
 
     # --- hearing ------------------------------------------------------------------------
 
-    async def hear(self, samples: AsyncIterator[Sample]) -> None:
+    async def listen(self, samples: AsyncIterator[Sample]) -> None:
         """Until the listener is closed."""
         async for sample in samples:
             address = keys.parse(sample.key)
@@ -292,7 +292,7 @@ class Watch:
         """Statements that are still to be judged."""
         return len(self._waiting)
 
-    async def judge(self) -> None:
+    async def evaluate(self) -> None:
         """In flight, until cancelled: as statements come, in a share of one core."""
         while len(self.agents) <= MAX_JUDGED_IN_FLIGHT:
             while self._waiting and self._waiting[0].t + TRUTH_AHEAD_S <= self._scenario.world.told_until:

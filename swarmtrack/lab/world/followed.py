@@ -50,7 +50,7 @@ class FollowedDrone:
         """What is kept, in the order of time. Not to be written to."""
         return self._samples
 
-    def tell(self, t: float, pose: Pose) -> bool:
+    def add_pose(self, t: float, pose: Pose) -> bool:
         """Take in one sample; False where it is no newer than the last one, which then stands."""
         if not t > self.newest:
             return False

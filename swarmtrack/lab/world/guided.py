@@ -64,7 +64,7 @@ class GuidedDrone:
             self.takes_off_s = min(self.takes_off_s, self.left_s)
             self._told = told
 
-    def tell(self, t: float, told: SetPoint) -> None:
+    def command(self, t: float, told: SetPoint) -> None:
         """From t on go towards another set point. On the ground it changes nothing."""
         with self._lock:
             self._newest_at(t)
@@ -72,7 +72,7 @@ class GuidedDrone:
 
     def turn(self, t: float, heading: float) -> None:
         """From t on look that way [rad], whatever else it was told."""
-        self.tell(t, self._told._replace(yaw=heading, yaw_rate=None))
+        self.command(t, self._told._replace(yaw=heading, yaw_rate=None))
 
     def state(self, t: float) -> FlownState:
         """At t, without its sway; of longer ago than is remembered, the oldest."""

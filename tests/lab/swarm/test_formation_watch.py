@@ -22,7 +22,7 @@ def flown(name: str, seconds: float, late_s: float = 0.0) -> Scenario:
     leader = scenario.world.drones[star.leader]
     for drone_id, drone in followed.items():
         for t in np.arange(0.0, seconds + 0.3, 0.05):
-            drone.tell(t, Pose(np.eye(3), leader.position(t - late_s) + np.array(star.slots[drone_id])))
+            drone.add_pose(t, Pose(np.eye(3), leader.position(t - late_s) + np.array(star.slots[drone_id])))
     return scenario
 
 
@@ -87,6 +87,6 @@ def test_what_nobody_told_is_left_out() -> None:
     assert isinstance(told, FollowedDrone)
     for sample in told.samples:
         if not 25.0 < sample.t < 27.0:
-            gap.tell(*sample)
+            gap.add_pose(*sample)
     scenario = replace(scenario, world=replace(world, drones={**world.drones, 2: gap}))
     assert score(scenario, 30.0).error_p95_m < 0.1

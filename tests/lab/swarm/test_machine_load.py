@@ -52,10 +52,10 @@ def test_what_others_spent_is_what_neither_we_nor_our_children_did(tmp_path):
     process(tmp_path, os.getpid(), 105, 5)
     process(tmp_path, 7, 30, 20)
     assert load.spent() == pytest.approx((0.9, 0.5))
-    load.look(1.0)
+    load.sample(1.0)
     children.clear()
     stat(tmp_path / "stat", user=1190, idle=9010)
-    load.look(2.0)
+    load.sample(2.0)
     assert load.spent_in([(1.0, 2.0)]) == pytest.approx((1.0, 1.0)), "who has ended spends nothing any more"
     assert load.spent() == pytest.approx((190 / 200, 150 / 200))
 
@@ -66,7 +66,7 @@ def test_what_was_spent_in_some_seconds_is_theirs_alone(tmp_path):
     load = MachineLoad(stat=file)
     for second, (user, idle) in enumerate([(0, 0), (50, 150), (250, 150), (440, 160), (460, 340)]):
         stat(file, user=user, idle=idle)
-        load.look(float(second))
+        load.sample(float(second))
     assert load.spent_in([(1.2, 1.9)]).busy == pytest.approx(1.0)
     assert load.spent_in([(1.5, 2.5)]).busy == pytest.approx(390 / 400)
     assert load.spent().busy == pytest.approx(0.575)

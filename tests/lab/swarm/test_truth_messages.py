@@ -53,7 +53,7 @@ def said(
 ) -> list[TrueSample]:
     """What the reader says of messages made at the times, which arrive late by so much."""
     return [
-        truth for k, t in enumerate(times) for kind in kinds for truth in reader.take(kind(t), t + late(k))
+        truth for k, t in enumerate(times) for kind in kinds for truth in reader.read(kind(t), t + late(k))
     ]
 
 
@@ -96,8 +96,8 @@ def test_stamps_of_other_times_are_nobodys():
     """ATTITUDE_QUATERNION comes at the same rate, but half an interval apart."""
     reader, truths = TruthReader(ORIGIN), []
     for t in every_20_ms(BOOTED + 1.0, 2.0):
-        truths += reader.take(state(t), t + 0.001)
-        truths += reader.take(attitude(t + 0.01), t + 0.011)
+        truths += reader.read(state(t), t + 0.001)
+        truths += reader.read(attitude(t + 0.01), t + 0.011)
     assert len(truths) == 100
     assert max(abs(error_s(truth)) for truth in truths) < 1.5e-3
 
@@ -106,7 +106,7 @@ def test_a_simulator_that_stands_still_tells_nothing_new_and_goes_on_where_time_
     reader = TruthReader(ORIGIN)
     said(reader, every_20_ms(BOOTED + 1.0, 5.0), attitude, state)
     stopped = BOOTED + 5.98
-    frozen = [reader.take(attitude(stopped), stopped + 0.02 * k) for k in range(1, 50)]
+    frozen = [reader.read(attitude(stopped), stopped + 0.02 * k) for k in range(1, 50)]
     assert not any(frozen)
     truths = said(reader, every_20_ms(stopped + 0.02, 5.0), attitude, state, late=lambda k: 8.0)
     assert reader.restarts == 1
@@ -128,7 +128,7 @@ def test_a_clock_that_runs_slow_is_soon_given_up():
     reader, errors = TruthReader(ORIGIN), []
     for t in every_20_ms(BOOTED + 1.0, 30.0):
         slow = hil(BOOTED + 0.989 * (t - BOOTED))
-        errors += [truth.t - t for truth in reader.take(slow, t + 0.001)]
+        errors += [truth.t - t for truth in reader.read(slow, t + 0.001)]
     assert max(map(abs, errors)) < 0.025
     assert max(map(abs, errors[250:])) < 0.002
 
@@ -138,8 +138,8 @@ def test_a_quaternion_that_is_none_is_no_truth(broken):
     message = state(BOOTED)
     message.q1, message.q2, message.q3, message.q4 = broken
     reader = TruthReader(ORIGIN)
-    assert reader.take(attitude(BOOTED), BOOTED) == []
-    assert reader.take(message, BOOTED) == []
+    assert reader.read(attitude(BOOTED), BOOTED) == []
+    assert reader.read(message, BOOTED) == []
 
 
 @pytest.mark.shared
@@ -158,7 +158,7 @@ def test_a_real_autopilots_truth_agrees_with_its_estimate():
                 estimates.append((arrival, message.x, message.y, message.z))
             elif message.get_type() == "ATTITUDE":
                 tilts.append((arrival, message.roll, message.pitch))
-            truths += reader.take(message, arrival)
+            truths += reader.read(message, arrival)
     t = np.array([truth.t for truth in truths])
     assert (np.diff(t) > 0).all()
     # The estimates come 10 s after the start.

@@ -23,7 +23,7 @@ TRUTH_HZ = 50.0
 def followed(*samples: tuple[float, Pose]) -> FollowedDrone:
     drone = FollowedDrone(keep_s=math.inf)
     for t, pose in samples:
-        assert drone.tell(t, pose)
+        assert drone.add_pose(t, pose)
     return drone
 
 
@@ -77,8 +77,8 @@ def test_a_gap_is_not_bridged():
 
 def test_a_sample_that_is_not_newer_is_refused():
     drone = followed((1.0, turned(0.0)))
-    assert not drone.tell(1.0, turned(1.0))
-    assert not drone.tell(0.9, turned(1.0))
+    assert not drone.add_pose(1.0, turned(1.0))
+    assert not drone.add_pose(0.9, turned(1.0))
     assert drone.newest == 1.0
     assert drone.pose(1.0).rotation == pytest.approx(turned(0.0).rotation)
 
@@ -86,7 +86,7 @@ def test_a_sample_that_is_not_newer_is_refused():
 def test_what_is_older_than_is_to_be_kept_is_forgotten():
     drone = FollowedDrone(keep_s=1.0)
     for k in range(10 * int(TRUTH_HZ)):
-        drone.tell(k / TRUTH_HZ, turned(0.0))
+        drone.add_pose(k / TRUTH_HZ, turned(0.0))
     assert len(drone.samples) <= 2 * TRUTH_HZ + 1
     drone.pose(drone.newest - 1.0)
     with pytest.raises(NotTold):
