@@ -93,7 +93,7 @@ class RadTan:
 
     @property
     def max_radius(self) -> float:
-        """Largest ideal radius at which the model still is one-to-one."""
+        """Largest ideal radius up to which the model is one-to-one."""
         return float(self._table[0][-1])
 
     def apply(self, ideal: Array) -> tuple[Array, Array]:
@@ -116,7 +116,8 @@ class RadTan:
         return distorted, jacobian
 
     def remove(self, distorted: Array) -> Array:
-        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN where none lies within the lens' reach.
+        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN where no ideal point lies within the lens'
+        reach.
 
         The radial part is inverted by table, then Newton's iteration on the whole model. The fixed-point
         iteration that is common here diverges for strong barrel distortion.
@@ -178,14 +179,14 @@ class Equidistant:
 
     @property
     def max_radius(self) -> float:
-        """Largest ideal radius at which the model still is one-to-one."""
+        """Largest ideal radius up to which the model is one-to-one."""
         return float(np.tan(self._table[0][-1]))
 
     def apply(self, ideal: Array, halves: float = 1.0, reach: float = math.inf) -> tuple[Array, Array]:
         """Normalised ideal (n, 2) -> normalised distorted (n, 2), and the Jacobian (n, 2, 2).
 
-        halves: of the chart in which `ideal` is, see `charts.py`. From `reach` [rad] off the axis on the image goes on
-        straight, as it would if the lens had no end.
+        halves: of the chart of `ideal`, see `charts.py`. Beyond `reach` [rad] off the axis the mapping continues
+        linearly, as if the lens had no end.
         """
         r = np.linalg.norm(ideal, axis=1)
         theta = halves * np.arctan(r / halves)
@@ -208,8 +209,9 @@ class Equidistant:
     def remove(
         self, distorted: Array, halves: float = 1.0, table: tuple[Array, Array] | None = None
     ) -> Array:
-        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN if none is within the lens' reach, or within that
-        of a `table` of angles and radii."""
+        """Normalised distorted (n, 2) -> normalised ideal (n, 2); NaN beyond the lens' reach, or beyond a `table` of
+        angles and radii.
+        """
         angles, radii = self._table if table is None else table
         radius = np.linalg.norm(distorted, axis=1)
         theta = np.interp(radius, radii, angles)
@@ -230,13 +232,13 @@ Distortion = RadTan | Equidistant
 
 @dataclass(frozen=True)
 class WideLens:
-    """An equidistant lens seen in the stereographic plane. `reach` [rad] off its axis: where its model ends."""
+    """Equidistant lens in the stereographic plane. Its model ends at `reach` [rad] off the axis."""
 
     lens: Equidistant
 
     @cached_property
     def table(self) -> tuple[Array, Array]:
-        """Angles and distorted radii of all that is believed of it."""
+        """Angles and distorted radii over the trusted part of the model."""
         return self.lens.rising(WIDEST_LENS_RAD)
 
     @property
@@ -245,11 +247,11 @@ class WideLens:
 
     @property
     def max_radius(self) -> float:
-        """Largest ideal radius at which the model still is one-to-one."""
+        """Largest ideal radius up to which the model is one-to-one."""
         return Stereographic.halves * math.tan(self.reach / Stereographic.halves)
 
     def apply(self, ideal: Array) -> tuple[Array, Array]:
-        """As `Equidistant.apply`; beyond the reach the image goes on as if it had no end."""
+        """As `Equidistant.apply`; beyond the reach the mapping continues as if the lens had no end."""
         return self.lens.apply(ideal, Stereographic.halves, self.reach)
 
     def remove(self, distorted: Array) -> Array:
@@ -258,8 +260,9 @@ class WideLens:
 
 
 class Framed(NamedTuple):
-    """n undistorted pixels where the image is an upright box: at (n, 2); scale: how many of its px one px is, (n, 2)
-    along u and v, or one number for all."""
+    """n undistorted pixels in the plane where the image is an upright box: at (n, 2). scale: px of that plane per
+    undistorted px, (n, 2) along u and v, or one number for all.
+    """
 
     at: Array
     scale: Array | float
@@ -267,8 +270,9 @@ class Framed(NamedTuple):
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """Intrinsics [px] for images of width x height pixels, and the lens' distortion (None: ideal pinhole). With an
-    equidistant one it may be as wide as `WIDEST_LENS_RAD`."""
+    """Intrinsics [px] for images of width x height pixels, and the lens distortion (None: ideal pinhole). An
+    equidistant lens may be as wide as `WIDEST_LENS_RAD`.
+    """
 
     fx: float
     fy: float
@@ -307,7 +311,7 @@ class PinholeCamera:
 
     @property
     def middle(self) -> Array:
-        """The pixel (2,) of the image that is nearest to the lens' axis: (cx, cy), unless that misses the image."""
+        """Pixel (2,) of the image nearest to the lens axis: (cx, cy) unless that is outside the image."""
         low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
         return np.clip([self.cx, self.cy], low, high)
 
@@ -323,8 +327,9 @@ class PinholeCamera:
 
     @cached_property
     def is_wide(self) -> bool:
-        """Whether the image's farthest corner shows more than `WIDE_LENS_RAD` off the axis, so that undistorted pixels
-        are stereographic ones."""
+        """Whether the image's farthest corner is more than `WIDE_LENS_RAD` off the axis, so that undistorted pixels are
+        stereographic.
+        """
         if not isinstance(self.distortion, Equidistant):
             return False
         low, high = np.array([-0.5, -0.5]), np.array([self.width, self.height]) - 0.5
@@ -335,7 +340,7 @@ class PinholeCamera:
 
     @cached_property
     def chart(self) -> Chart:
-        """Which undistorted pixel stands for which direction."""
+        """Chart between directions and undistorted pixels."""
         kind = Stereographic if self.is_wide else Gnomonic
         return kind(self.fx, self.fy, self.cx, self.cy)
 
@@ -349,14 +354,16 @@ class PinholeCamera:
 
     @cached_property
     def reach(self) -> float:
-        """rad off the axis: beyond, the lens' model has no answer."""
+        """Angle off the axis [rad] beyond which the lens model is undefined."""
         if self._lens is None:
             return self.chart.reach
         return self._lens.reach if isinstance(self._lens, WideLens) else math.atan(self._lens.max_radius)
 
     @cached_property
     def field(self) -> tuple[float, float]:
-        """rad: how wide and how high the image is through its middle; an ordinary one as if the lens did not bend."""
+        """Horizontal and vertical field of view [rad] through the image's middle; of an ordinary lens without its
+        distortion.
+        """
         if not self.is_wide:
             return 2.0 * math.atan(0.5 * self.width / self.fx), 2.0 * math.atan(0.5 * self.height / self.fy)
         ends = np.tile([self.cx, self.cy], (4, 1))
@@ -368,7 +375,7 @@ class PinholeCamera:
 
     @cached_property
     def ideal_bounds(self) -> Array:
-        """[[u_min, v_min], [u_max, v_max]] (2, 2): the upright box, in ideal pixels, around all that the image shows.
+        """[[u_min, v_min], [u_max, v_max]] (2, 2): bounding box of the whole image in ideal pixels.
 
         A lens that bends outer rays inwards shows more than width x height ideal pixels: at the border of a wide
         image, targets have negative ones.
@@ -387,7 +394,7 @@ class PinholeCamera:
 
     @cached_property
     def frame_bounds(self) -> Array:
-        """[[u_min, v_min], [u_max, v_max]] (2, 2): of the image, in the plane of `framed`."""
+        """[[u_min, v_min], [u_max, v_max]] (2, 2): the image's borders in the plane of `framed`."""
         if not self.is_wide:
             return self.ideal_bounds
         reach = self.frame_radius * np.array([self.fx, self.fy])
@@ -397,20 +404,21 @@ class PinholeCamera:
 
     @cached_property
     def frame_radius(self) -> float:
-        """Focal lengths from the centre, in the plane of `framed`, where a wide lens ends; infinite for others."""
+        """Radius [focal lengths] in the plane of `framed` at which a wide lens ends; infinite for others."""
         return float(self._lens.table[1][-1]) if isinstance(self._lens, WideLens) else math.inf
 
     def within_reach(self, at: Array) -> Array:
-        """(n,) focal lengths by which places (n, 2) in the plane of `framed` are within a wide lens' reach; negative
-        beyond it."""
+        """Distance (n,) [focal lengths] of points (n, 2) in the plane of `framed` from the end of a wide lens;
+        negative beyond it.
+        """
         away = (at - [self.cx, self.cy]) / [self.fx, self.fy]
         return np.asarray(self.frame_radius - np.linalg.norm(away, axis=1))
 
     def framed(self, pixels: Array) -> Framed:
-        """Undistorted pixels (n, 2) in the plane where the image is an upright box and boxes are as wide as told.
+        """Undistorted pixels (n, 2) in the plane where the image is an upright box and boxes have their measured size.
 
-        Of an ordinary lens that is the undistorted plane, nearly. A wide one's image is anything but upright there:
-        it is the image itself, which goes on beyond its border and the lens' reach.
+        For an ordinary lens that is nearly the undistorted plane. A wide lens' undistorted image is far from upright:
+        there it is the plane of the image itself, continued beyond its border and the lens' reach.
         """
         if not isinstance(self._lens, WideLens):
             return Framed(pixels, 1.0)
@@ -424,12 +432,13 @@ class PinholeCamera:
         return self.bearing(at) if self.is_wide else self.bearing_undistorted(at)
 
     def per_radian(self, pixels: Array) -> Array:
-        """Undistorted px that a radian is along u and v at undistorted pixels (n, 2): (n, 2), or (2,) for all."""
+        """Undistorted px per radian along u and v at undistorted pixels (n, 2): (n, 2), or (2,) for all."""
         return self.chart.per_radian(pixels)
 
     def box_per_radian(self, pixels: Array) -> Array:
-        """px that a radian is along the sides of a box whose middle is at undistorted pixels (n, 2): (n, 2), or (2,)
-        for all. Boxes are measured in the image as the camera gives it."""
+        """Image px per radian along the sides of a box centred at undistorted pixels (n, 2): (n, 2), or (2,) for all.
+        Boxes are measured in the distorted image.
+        """
         if not isinstance(self._lens, WideLens):
             return self.chart.per_radian(pixels)
         _, by_ideal = self._lens.apply(self._normalised(pixels))
@@ -439,15 +448,15 @@ class PinholeCamera:
         return np.asarray(stretch / np.linalg.norm(by_image, axis=1))
 
     def depth(self, points: Array) -> Array:
-        """(n,) m: how far points (n, 3) are ahead of the camera; of a wide one, how far away."""
+        """Depth (n,) [m] of points (n, 3) along the axis; for a wide lens, their range."""
         points = np.asarray(points, dtype=float).reshape(-1, 3)
         return np.asarray(np.linalg.norm(points, axis=1) if self.is_wide else points[:, 2])
 
     def project(self, points: Array) -> tuple[Array, Array, Mask]:
         """points (n, 3) m, camera frame -> distorted pixels (n, 2), d pixel / d point (n, 2, 3), valid (n,).
 
-        Valid means in front of the camera, or of a wide lens, and within the lens model's reach, not necessarily inside
-        the image (see `contains`). Rows that are not valid are NaN.
+        Valid means in front of the camera (any direction for a wide lens) and within the lens model's reach, not
+        necessarily inside the image (see `contains`). Rows that are not valid are NaN.
         """
         ideal, by_point, valid = self.chart.places(points)
         if self._lens is not None:
@@ -501,7 +510,7 @@ class PinholeCamera:
         return jacobian
 
     def contains(self, pixels: Array, margin: float = 0.0) -> Mask:
-        """Which pixels (n, 2) lie in the image, its border moved out by `margin` px (in, if negative)."""
+        """Whether pixels (n, 2) lie in the image with its border moved out by `margin` px (in, if negative)."""
         pixels = _pairs(pixels)
         limit = np.array([self.width, self.height]) - 0.5 + margin  # pixel centres are integers
         return np.asarray(((pixels >= -0.5 - margin) & (pixels <= limit)).all(axis=1))

@@ -29,8 +29,9 @@ FARTHEST_IMAGE_POINT = 100.0  # focal lengths off the axis, where the tangent of
 
 
 class Turned(NamedTuple):
-    """Of n places and motions, after a rotation. moving (2, 2, n): coordinate, then place and motion; by_state (n, 4,
-    4): their derivative by those before, both in that order."""
+    """n positions and velocities after a rotation. moving (2, 2, n): coordinate, then position and velocity; by_state
+    (n, 4, 4): their derivative with respect to those before, both in that order.
+    """
 
     moving: Array
     by_state: Array
@@ -92,12 +93,13 @@ class Chart(ABC):
 
     @abstractmethod
     def places(self, points: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Points (n, 3) m -> places (n, 2) in focal lengths, d place / d point (n, 2, 3), which have one (n,); those of
-        the others mean nothing."""
+        """Points (n, 3) m -> positions (n, 2) in focal lengths, d position / d point (n, 2, 3), valid (n,). Rows that
+        are not valid are undefined.
+        """
 
     @abstractmethod
     def rays(self, places: Array) -> Array:
-        """Unit vectors (n, 3) of places (n, 2) in focal lengths."""
+        """Unit vectors (n, 3) of positions (n, 2) in focal lengths."""
 
     @abstractmethod
     def rays_by_place(self, places: Array) -> Array:
@@ -113,25 +115,27 @@ class Chart(ABC):
 
     @abstractmethod
     def add_flow_of_error(self, cov: Array, pixels: Array, variance: float) -> None:
-        """Add variance [rad²] × flow flowᵀ to the places' part of covariances (n, 4+, 4+), in place."""
+        """Add variance [rad²] × flow flowᵀ to the position block of covariances (n, 4+, 4+), in place."""
 
     @abstractmethod
     def turn(self, moving: Array, rotation: Array) -> Turned:
-        """Every direction, and its motion, by a rotation (3, 3) of the camera: its axes now from then. moving (2, 2,
-        n) px and px/s: coordinate, then place and motion."""
+        """Rotate directions and their motions by a rotation (3, 3): camera axes now from then. moving (2, 2, n) px and
+        px/s: coordinate, then position and velocity.
+        """
 
     @abstractmethod
     def per_radian(self, pixels: Array) -> Array:
-        """px that a radian is along u and v, (n, 2) or the same for all, (2,)."""
+        """Pixels per radian along u and v, (n, 2), or (2,) where it is the same for all."""
 
     @abstractmethod
     def solid_angle(self, pixels: Array) -> Array:
-        """rad² (n,) that a square pixel covers."""
+        """Solid angle (n,) [rad²] of a square pixel."""
 
     @abstractmethod
     def radial(self, squared: Array) -> tuple[Array, Array, Array]:
-        """By which factor a place of the *other* chart, `squared` (n,) its squared distance off the centre in focal
-        lengths, is farther out here; and the first two derivatives of that by `squared`."""
+        """Radial factor from the *other* chart to this one at squared radii `squared` (n,) [focal lengths²], and its
+        first two derivatives with respect to `squared`.
+        """
 
 
 @dataclass(frozen=True)
@@ -194,7 +198,7 @@ class Gnomonic(Chart):
         cov[:, 2, 0] += across
 
     def turn(self, moving: Array, rotation: Array) -> Turned:
-        """The homography K R K⁻¹ for the place, its derivative for the motion.
+        """The homography K R K⁻¹ for the position, its derivative for the velocity.
 
         With M = K R K⁻¹, h = M·[u v 1], w = M·[vu vv 0] and k = 1 / h₃: p' = k h₁₂ and v' = k (w₁₂ − w₃ p'), which is
         the derivative of p' along the motion. J = ∂p'/∂p = k (M₁₂ − p' M₃) is linear in g = k [p' 1], and ∂v'/∂p, its
@@ -237,8 +241,9 @@ class Gnomonic(Chart):
         return far
 
     def per_radian(self, pixels: Array) -> Array:
-        """As in the middle of the picture. Off the axis a radian is more, along the radius more than across it: within
-        an ordinary picture that is left out."""
+        """Constant, as at the image's centre. Off the axis a radian covers more pixels, more along the radius than
+        across it: within an ordinary image that is neglected.
+        """
         return np.array([self.fx, self.fy])
 
     def solid_angle(self, pixels: Array) -> Array:
@@ -246,15 +251,16 @@ class Gnomonic(Chart):
         return np.asarray(self.rays(self.normalised(pixels))[:, 2] ** 3 / (self.fx * self.fy))
 
     def radial(self, squared: Array) -> tuple[Array, Array, Array]:
-        """tan θ = t / (1 − t²/4), of t = 2 tan(θ/2); what is not ahead is held far outside."""
+        """tan θ = t / (1 − t²/4), of t = 2 tan(θ/2); points that are not in front are mapped far outside."""
         ahead = np.maximum(1.0 - squared / 4.0, 1.0 / FARTHEST_IMAGE_POINT)
         return 1.0 / ahead, 0.25 / ahead**2, 0.125 / ahead**3
 
 
 @dataclass(frozen=True)
 class Stereographic(Chart):
-    """(x, y) = 2 (X, Y) / (|P| + Z). As one complex number x + iy it is turned by a Möbius transformation, so that all
-    derivatives are complex numbers as well: a turn of the plane, and a stretch that is the same all ways."""
+    """(x, y) = 2 (X, Y) / (|P| + Z). As a complex number x + iy it transforms under rotation by a Möbius
+    transformation, so all derivatives are complex numbers as well: a rotation of the plane and an isotropic scale.
+    """
 
     halves: ClassVar[float] = 2.0
     reach: ClassVar[float] = float(np.radians(150.0))
@@ -308,8 +314,9 @@ class Stereographic(Chart):
         return gradient
 
     def add_flow_of_error(self, cov: Array, pixels: Array, variance: float) -> None:
-        """An error of the rotation moves a direction alike all ways, and the chart keeps that: it is the stretch
-        squared."""
+        """A rotation error moves a direction equally in all directions, and the chart is conformal: the variance
+        scales with the stretch squared.
+        """
         spread = variance * self._stretch(self.normalised(pixels)) ** 2
         cov[:, 0, 0] += spread * self.fx**2
         cov[:, 2, 2] += spread * self.fy**2
@@ -371,7 +378,7 @@ class Stereographic(Chart):
 
 
 def cross(moving: Array, here: Chart, there: Chart) -> Turned:
-    """Places and motions (2, 2, n) px of one chart in another, for a camera that looks the same way.
+    """Positions and velocities (2, 2, n) px of one chart in another, for cameras with the same axis.
 
     Charts of two kinds differ by a radial factor s of q = |p|²: p' = s p, J = s I + 2 s' p pᵀ, v' = J v, and
     ∂v'/∂p = 2 s' (v pᵀ + p vᵀ + p·v I) + 4 s'' (p·v) p pᵀ.

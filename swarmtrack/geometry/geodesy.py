@@ -1,8 +1,8 @@
-"""Places on the Earth in a team's frame: WGS-84 latitude, longitude and height to north, east, down of an origin.
+"""Geodetic positions in a team's frame: WGS-84 latitude, longitude and height to north, east, down of an origin.
 
-Exact: through Earth-centred coordinates, no flat Earth, so that it holds at every latitude and distance. Heights may be
-above the ellipsoid or above mean sea level, as long as the origin's is of the same kind: over the kilometres of a team
-the sea level is a plane, tilted by a tenth of a metre per kilometre at most, the same for everybody.
+Exact, through Earth-centred coordinates, so it holds at every latitude and distance. Heights may be above the
+ellipsoid or above mean sea level, as long as the origin's is of the same kind: over the kilometres of a team the geoid
+is a plane, tilted by a tenth of a metre per kilometre at most, the same for all drones.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CONVERGED = 1e-12  # rad of latitude: 6 µm on the ground
 
 
 class Geodetic(NamedTuple):
-    """A place: geodetic latitude and longitude [rad], height [m]."""
+    """Geodetic latitude and longitude [rad], height [m]."""
 
     latitude: float
     longitude: float
@@ -59,12 +59,12 @@ def ecef_from_ned(origin: Geodetic) -> Array:
 
 
 def to_ned(place: Geodetic, origin: Geodetic) -> Array:
-    """`place` in the level frame at `origin`, (3,) m north, east, down."""
+    """Position (3,) m north, east, down of `place` in the level frame at `origin`."""
     return np.asarray((to_ecef(place) - to_ecef(origin)) @ ecef_from_ned(origin))
 
 
 def from_ned(position: Array, origin: Geodetic) -> Geodetic:
-    """The place that lies at `position` (3,) m north, east, down of `origin`."""
+    """Geodetic position of `position` (3,) m north, east, down of `origin`."""
     x, y, z = (to_ecef(origin) + ecef_from_ned(origin) @ position).tolist()
     out = math.hypot(x, y)
     # The latitude of a point on the ellipsoid, then corrected for height until it no longer moves: the error shrinks

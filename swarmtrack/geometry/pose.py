@@ -1,4 +1,4 @@
-"""A frame's place in another frame."""
+"""Pose of one frame in another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rotations as 3x3 matrices, and the ways in and out of them.
+"""Rotations as 3x3 matrices, and conversions from and to other forms.
 
 A matrix `a_from_b` takes coordinates in b to coordinates in a. All functions accept leading batch axes.
 Sources: Solà, Deray & Atchuthan, "A micro Lie theory for state estimation in robotics" (2018), appendix B for

@@ -1,1 +1,1 @@
-"""What drones say to each other, as bytes: `docs/wire.md` in code, a module per message."""
+"""The messages between drones as bytes: `docs/wire.md` in code, one module per message."""

@@ -1,4 +1,4 @@
-"""`pose/<id>`, the announcement: who I am and where I started; with its signature in a team that has keys."""
+"""`pose/<id>`, the announcement: ID and start pose of a drone; signed in a team that has keys."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from swarmtrack.wire.fields import (
 
 
 class AnnouncementMessage(PeerMessage, frozen=True):
-    """`pose/<id>`: who I am and where I started, in the team's NED frame.
+    """`pose/<id>`: ID and start pose of the sender, in the team's NED frame.
 
     t_utc_s: when the pose held, by the sender's UTC; age_s: how long ago that was when these bytes were made.
     quaternion_wxyz: world from body; position_cov_m2: upper triangle, row by row. signature: see `signed_part`.
@@ -38,7 +38,7 @@ class AnnouncementMessage(PeerMessage, frozen=True):
 
 
 def announcement_message(announcement: Announcement, utc_offset: float, now: float) -> AnnouncementMessage:
-    """Ours as it goes on the wire at `now`, unsigned. Raises ValueError where its attitude is none."""
+    """The own announcement as sent at `now`, unsigned. Raises ValueError where its attitude is not a rotation."""
     a = announcement
     if not is_rotation(a.world_from_body):
         raise ValueError("announcement: world_from_body is not a rotation")
@@ -52,13 +52,13 @@ def announcement_message(announcement: Announcement, utc_offset: float, now: flo
 
 
 def check(message: AnnouncementMessage) -> None:
-    """Raises DecodeError. Its signature, if any, is left unchecked."""
+    """Raise DecodeError for an invalid message. Its signature, if any, is not checked."""
     check_unit("announcement: quaternion_wxyz", message.quaternion_wxyz, "a unit quaternion")
     check_covariances("announcement: position_cov_m2", [message.position_cov_m2], 3)
 
 
 def announcement_from(message: AnnouncementMessage, t: float, t_sigma: float) -> Announcement:
-    """A teammate's announcement for us. t: when the pose held, on our monotonic clock."""
+    """A teammate's announcement as the core takes it. t: when the pose held, on our monotonic clock."""
     m = message
     return Announcement(
         drone_id=m.drone_id,
@@ -79,21 +79,23 @@ _SIGNATURE_HEAD = bytes([0xC4, SIGNATURE_BYTES])
 
 
 class SignedPart(NamedTuple):
-    """What was signed, and the signature."""
+    """The signed bytes and their signature."""
 
     signed: bytes
     signature: bytes
 
 
 def sign_announcement(unsigned: bytes, key: str, sign: Callable[[bytes], bytes]) -> bytes:
-    """An announcement's bytes as `encode` made them, with the last field filled in. key: where it will be said."""
+    """An announcement's bytes from `encode` with the signature filled in as the last field. key: the key it is sent
+    on.
+    """
     assert unsigned[:1] == _ARRAY_OF_11, "as encode makes it"
     signature = sign(_signed(key, unsigned[1:-1]))
     return unsigned[:-1] + _SIGNATURE_HEAD + signature
 
 
 def signed_part(data: bytes, key: str) -> SignedPart | None:
-    """Of an announcement's bytes, heard on `key`; None where they are not signed in the one way that counts."""
+    """Signed part of an announcement's bytes that came on `key`; None unless they are signed in the one valid form."""
     head = data[-SIGNATURE_BYTES - 2 : -SIGNATURE_BYTES]
     if data[:1] != _ARRAY_OF_11 or head != _SIGNATURE_HEAD:
         return None

@@ -1,4 +1,4 @@
-"""`camera/<id>`: what whoever reads `tracks/<id>` must know to make directions of pixels."""
+"""`camera/<id>`: what a reader of `tracks/<id>` needs to turn pixels into directions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from swarmtrack.wire.lens import LensMessage, check_lens, lens_message
 
 
 class OtherCamera(Record, frozen=True):
-    """One more camera of the same drone: fields as in `CameraMessage`."""
+    """A further camera of the same drone; fields as in `CameraMessage`."""
 
     what: ClassVar[str] = "camera"
     lens: LensMessage
@@ -27,11 +27,11 @@ class OtherCamera(Record, frozen=True):
 
 
 class CameraMessage(Record, frozen=True, forbid_unknown_fields=False):
-    """`camera/<id>`: a drone's lens and how it is mounted, the same for the whole life of a process (`boot`).
+    """`camera/<id>`: a drone's lens and mounting, constant for the life of a process (`boot`).
 
     position_m, quaternion_wxyz: body (FRD) from camera (x right, y down, z forward). others: its second camera, its
-    third and so on; of a drone with one this field is not on the wire (`shortened`). Like a health message it may grow
-    at its end.
+    third and so on; with one camera this field is not on the wire (`shortened`). Like a health message it may grow at
+    its end.
     """
 
     what: ClassVar[str] = "camera"
@@ -47,7 +47,7 @@ class CameraMessage(Record, frozen=True, forbid_unknown_fields=False):
 def camera_message(
     drone_id: int, boot: str, lenses: Sequence[PinholeCamera], mountings: Sequence[Pose]
 ) -> CameraMessage:
-    """Ours as it goes on the wire: of each camera its lens, and body_from_camera."""
+    """The own camera message: lens and body_from_camera of each camera."""
     first, *others = (
         OtherCamera(
             lens_message(lens),
@@ -66,7 +66,7 @@ _ARRAY, _FIELDS, _EMPTY = 0x90, 7, 0x90
 
 
 def shortened(data: bytes, message: CameraMessage) -> bytes:
-    """The bytes of a message without the field at its end where that is empty."""
+    """Bytes of a message without its last field where that is empty."""
     assert data[0] == _ARRAY | _FIELDS, "as encode makes it"
     if message.others:
         return data
@@ -75,7 +75,7 @@ def shortened(data: bytes, message: CameraMessage) -> bytes:
 
 
 def check(message: CameraMessage) -> None:
-    """Raises DecodeError."""
+    """Raise DecodeError for an invalid message."""
     cameras: tuple[CameraMessage | OtherCamera, ...] = (message, *message.others)
     for one in cameras:
         check_lens("camera", one.lens)

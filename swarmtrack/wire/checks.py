@@ -1,4 +1,4 @@
-"""What types and bounds cannot say of a message: finite numbers, unit vectors, covariances that are ones."""
+"""Checks that types and bounds cannot express: finite numbers, unit vectors, valid covariances."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _UPPER = {n: np.triu_indices(n) for n in (3, 4, 6)}
 
 
 class DecodeError(SwarmtrackError):
-    """Bytes from the network that are no message of ours; the text says which field and why."""
+    """Bytes from the network that are not a valid message; the text names the field and the reason."""
 
 
 def is_finite(value: object) -> bool:
-    """Whether every number in it is. The bounds refuse NaN too, but only by the way msgspec happens to compare."""
+    """Whether every number in it is finite. The bounds refuse NaN too, but only by the way msgspec happens to compare."""
     if isinstance(value, float):
         return math.isfinite(value)
     if isinstance(value, msgspec.Struct):

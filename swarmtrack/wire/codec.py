@@ -63,7 +63,7 @@ _PERHAPS_NOT_FINITE = re.compile(rb"\xcb[\x7f\xff][\xf0-\xff]|\xca[\x7f\xff][\x8
 
 
 def encode(message: Message) -> bytes:
-    """Raises ValueError where a reader would refuse it: we never send what we would not read.
+    """Bytes of a message. Raises ValueError where a reader would refuse it.
 
     Of tracks, fifty times a second, the bounds are checked, which NaN fails too, but not again that covariances are
     such: trackers update in Joseph form.
@@ -84,7 +84,7 @@ def encode(message: Message) -> bytes:
 
 
 def decode(kind: type[AnyMessage], data: bytes) -> AnyMessage:
-    """The message as it stands on the wire. Raises DecodeError, whatever the bytes."""
+    """The message in these bytes. Raises DecodeError for anything else."""
     if len(data) > MAX_MESSAGE_BYTES:
         raise DecodeError(f"{kind.what}: has more than {MAX_MESSAGE_BYTES} bytes")
     # An array (0x90 | length, or 0xdc and two bytes of it) of another version deserves the better of two error texts.

@@ -1,6 +1,6 @@
-"""What a field on the wire may hold: types with their bounds, and what a message may hold of each thing.
+"""Types of fields on the wire with their bounds, and the largest number of entries of each kind.
 
-The bounds are not physics, they only keep later arithmetic far from overflow.
+The bounds are not physics; they only keep later arithmetic far from overflow.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ Line = Annotated[str, Meta(max_length=LONGEST_LINE)]
 
 
 class Record(msgspec.Struct, array_like=True, frozen=True, forbid_unknown_fields=True):
-    """An array on the wire: fields go by position, none may be missing and none added."""
+    """An array on the wire: fields are positional, none may be missing and none added."""
 
 
 class PeerMessage(Record, frozen=True):
-    """The first fields of a message that counts only while its boot lives: who says it, its number, and of when."""
+    """First fields of a message that counts only while its boot lives: sender, sequence number, time."""
 
     version: Literal[1]
     drone_id: DroneId
@@ -82,7 +82,7 @@ class PeerMessage(Record, frozen=True):
 
 
 class Said(Protocol):
-    """What a drone says of an instant, as all such messages of ours do."""
+    """Header of an own message about one instant."""
 
     @property
     def boot(self) -> str: ...
@@ -97,5 +97,5 @@ class Said(Protocol):
 def peer_fields(
     drone_id: int, said: Said, utc_offset: float
 ) -> tuple[Literal[1], int, str, int, float, float]:
-    """The fields of `PeerMessage` for what we say ourselves."""
+    """Values of the fields of `PeerMessage` for an own message."""
     return WIRE_VERSION, drone_id, said.boot, said.sequence, float(said.t + utc_offset), float(said.t_sigma)

@@ -1,4 +1,4 @@
-"""`health/<id>`: how the agent is doing."""
+"""`health/<id>`: the state of an agent."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ MOST_COUNTERS = 64  # of one link
 
 
 class RateHealth(Record, frozen=True):
-    """How often something was asked for (null: as it comes), and how often it came."""
+    """Requested rate (null: none requested) and measured rate."""
 
     asked_hz: Quantity | None
     got_hz: Quantity
 
 
 class LatencyHealth(Record, frozen=True):
-    """How long something took, over the last reporting interval."""
+    """Durations of one step over the last reporting interval."""
 
     p50_s: Seconds
     p95_s: Seconds
@@ -43,7 +43,7 @@ class LatencyHealth(Record, frozen=True):
 
 
 class LinkHealth(Record, frozen=True):
-    """One camera, autopilot or network, as `LinkStatus` says it."""
+    """`LinkStatus` of one camera, autopilot or network."""
 
     name: Name
     ok: bool
@@ -52,7 +52,9 @@ class LinkHealth(Record, frozen=True):
 
 
 class TimeOffsetHealth(Record, frozen=True):
-    """exposure on the IMU's clock = stamp + offset: what the flight says of it (null: nothing), and what is used."""
+    """Time offset of a camera: exposure on the IMU's clock = stamp + offset. Estimated in flight (null: not yet), and
+    in use.
+    """
 
     found_s: SignedSeconds | None
     sigma_s: Seconds | None
@@ -60,7 +62,7 @@ class TimeOffsetHealth(Record, frozen=True):
 
 
 class GyroBiasHealth(Record, frozen=True):
-    """What the gyro says at rest, body FRD: what the flight says of it (null: nothing), and what is taken off."""
+    """Gyro bias, body FRD: estimated in flight (null: not yet), and subtracted."""
 
     found_rad_s: tuple[Rate, Rate, Rate] | None
     sigma_rad_s: Annotated[float, Meta(ge=0.0, le=1e3)] | None
@@ -68,7 +70,9 @@ class GyroBiasHealth(Record, frozen=True):
 
 
 class ConsistencyHealth(Record, frozen=True):
-    """Mean normalised innovation squared of the last detections; the band in which it lies if the tracker is right."""
+    """Mean normalised innovation squared of the last detections, and the band that contains it for a consistent
+    tracker.
+    """
 
     nis: Quantity
     low: Quantity
@@ -76,9 +80,9 @@ class ConsistencyHealth(Record, frozen=True):
 
 
 class NoiseHealth(Record, frozen=True):
-    """What the flight says of the noise that was told, as factors on standard deviations; null: not (yet) known.
+    """Measured noise relative to the configured noise, as factors on standard deviations; null: not (yet) known.
 
-    found, remedy: where the tracks do not know how wrong they are, for people; empty where they do.
+    found, remedy: for people, where the tracks' covariances are not consistent; empty where they are.
     """
 
     detections: Quantity | None
@@ -88,14 +92,14 @@ class NoiseHealth(Record, frozen=True):
 
 
 class ReadinessHealth(Record, frozen=True):
-    """Whether the drone could fly now, and if not, why."""
+    """Whether the drone could fly now, and the reason if not."""
 
     ready: bool
     reasons: Annotated[tuple[Line, ...], Meta(max_length=16)]
 
 
 class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
-    """`health/<id>`: how the agent is doing. clock_offset_s: ours minus the autopilot's, null without one.
+    """`health/<id>`: the state of an agent. clock_offset_s: ours minus the autopilot's, null without one.
 
     drops counts what was thrown away since the start, by place; events holds the last lines worth reading. It
     may grow: what a reader misses at its end is null, and what it does not know there it leaves (decision 10).
@@ -123,7 +127,7 @@ class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
 
 
 def link_health(status: LinkStatus) -> LinkHealth:
-    """A link's state, cut to what fits on the wire; a counter that is not a number (yet) is left out."""
+    """A link's state, cut to what fits on the wire; a counter that is not (yet) a number is left out."""
     counters = {
         plain(name, LONGEST_NAME): float(value)
         for name, value in status.counters[:MOST_COUNTERS]
@@ -133,5 +137,5 @@ def link_health(status: LinkStatus) -> LinkHealth:
 
 
 def health_line(text: str) -> str:
-    """Any text, as a line of the message takes it."""
+    """Any text, cut and cleaned for one line of the message."""
     return plain(text, LONGEST_LINE)

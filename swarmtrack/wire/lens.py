@@ -1,4 +1,4 @@
-"""The lens that a camera sees through, as a part of other messages."""
+"""A camera's lens, as a part of other messages."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEAST_FOCAL = 1e-3
 
 
 class LensMessage(Record, frozen=True):
-    """A calibrated lens, in pixels of the calibrated image; coefficients: of the distortion, empty without one."""
+    """Calibrated lens, in pixels of the calibrated image; coefficients: of the distortion, empty without one."""
 
     what: ClassVar[str] = "lens"
     width: Side
@@ -29,7 +29,7 @@ class LensMessage(Record, frozen=True):
 
 
 def lens_message(camera: PinholeCamera) -> LensMessage:
-    """A lens as it goes on the wire."""
+    """The message of a camera's lens."""
     c, distortion = camera, camera.distortion
     name: Literal["radtan", "equidistant"] | None = None
     coefficients: tuple[float, ...] = ()
@@ -40,7 +40,7 @@ def lens_message(camera: PinholeCamera) -> LensMessage:
 
 
 def camera_from(message: LensMessage) -> PinholeCamera:
-    """The camera a message tells of. Raises DecodeError where there is no such lens."""
+    """Camera model from a lens message. Raises DecodeError for an impossible lens."""
     m = message
     kinds: dict[str, type[RadTan] | type[Equidistant]] = {"radtan": RadTan, "equidistant": Equidistant}
     try:
@@ -51,7 +51,7 @@ def camera_from(message: LensMessage) -> PinholeCamera:
 
 
 def check_lens(where: str, message: LensMessage) -> None:
-    """Raises DecodeError where there is no such lens."""
+    """Raise DecodeError for an impossible lens."""
     if min(message.fx, message.fy) < LEAST_FOCAL:
         raise DecodeError(
             f"{where}: lens: focal lengths are {message.fx:g} and {message.fy:g}, expected {LEAST_FOCAL:g} or more"

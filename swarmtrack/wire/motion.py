@@ -1,4 +1,4 @@
-"""`motion/<id>`: how a drone moves, for teammates that want to know it by that."""
+"""`motion/<id>`: velocity and displacement of a drone, for teammates that identify it by motion."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ Upper3 = Annotated[tuple[Moment, ...], Meta(min_length=6, max_length=6)]
 class MotionMessage(PeerMessage, frozen=True):
     """`motion/<id>`: how one drone's body moved, `age_s` before these bytes were made, along the team's NED axes.
 
-    displacement_m: from where it was when its process first knew its place, which says nothing of where that was.
-    *_cov_*: upper triangle, row by row. sequence counts what this boot published.
+    displacement_m: from the first known position of its process, which itself is not stated. *_cov_*: upper triangle,
+    row by row. sequence counts what this boot published.
     """
 
     what: ClassVar[str] = "motion"
@@ -30,7 +30,7 @@ class MotionMessage(PeerMessage, frozen=True):
 
 
 def motion_message(report: MotionReport, utc_offset: float, now: float) -> MotionMessage:
-    """Ours as it goes on the wire at `now`."""
+    """The own motion report as sent at `now`."""
     r = report
     return MotionMessage(
         *peer_fields(r.drone_id, r, utc_offset),
@@ -43,13 +43,13 @@ def motion_message(report: MotionReport, utc_offset: float, now: float) -> Motio
 
 
 def check(message: MotionMessage) -> None:
-    """Raises DecodeError."""
+    """Raise DecodeError for an invalid message."""
     check_covariances("motion: displacement_cov_m2", [message.displacement_cov_m2], 3)
     check_covariances("motion: velocity_cov_m2_s2", [message.velocity_cov_m2_s2], 3)
 
 
 def motion_from(message: MotionMessage, t: float, t_sigma: float) -> MotionReport:
-    """A teammate's report for us. t: when it moved so, on our monotonic clock."""
+    """A teammate's motion report as the core takes it. t: time of the motion, on our monotonic clock."""
     m = message
     return MotionReport(
         drone_id=m.drone_id,

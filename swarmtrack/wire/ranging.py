@@ -1,4 +1,4 @@
-"""`range/<id>/<other>`: how far a ranging radio on board of drone <id> finds drone <other> to be."""
+"""`range/<id>/<other>`: range to drone <other>, measured by a ranging radio on drone <id>."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ Distance = Annotated[float, Meta(gt=0.0, le=1e4)]
 
 
 class RangeMessage(PeerMessage, frozen=True):
-    """`range/<id>/<other>`: a distance, `age_s` before these bytes were made, with its standard deviation.
+    """`range/<id>/<other>`: a range, `age_s` before these bytes were made, with its standard deviation.
 
-    boot: of whoever speaks for the radio, which need be no agent. sequence counts what it said of this teammate.
+    boot: of the process that reads the radio, which need not be an agent. sequence counts its messages about this
+    teammate.
     """
 
     what: ClassVar[str] = "range"
@@ -30,7 +31,7 @@ class RangeMessage(PeerMessage, frozen=True):
 def range_message(
     report: RangeReport, boot: str, sequence: int, utc_offset: float, now: float
 ) -> RangeMessage:
-    """Ours as it goes on the wire at `now`."""
+    """The own range message as sent at `now`."""
     r = report
     return RangeMessage(
         WIRE_VERSION,
@@ -47,12 +48,12 @@ def range_message(
 
 
 def check(message: RangeMessage) -> None:
-    """Raises DecodeError."""
+    """Raise DecodeError for an invalid message."""
     if message.other == message.drone_id:
         raise DecodeError(f"range: other: found {message.other}, expected another drone than drone_id")
 
 
 def range_from(message: RangeMessage, t: float, t_sigma: float) -> RangeReport:
-    """The measurement for us. t: when it was made, on our monotonic clock."""
+    """The measured range as the core takes it. t: time of the measurement, on our monotonic clock."""
     m = message
     return RangeReport(m.drone_id, m.other, t, t_sigma, m.distance_m, m.sigma_m)

@@ -1,4 +1,4 @@
-"""Messages for people: each field by its name, with its unit, ready for JSON; and back."""
+"""Messages as records for people: named fields with units, ready for JSON; and back."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from swarmtrack.wire.tracks import TracksMessage
 
 
 def as_record(message: Message) -> dict[str, Any]:
-    """The message with its fields named, ready for JSON; the names carry the units.
+    """The message with named fields, ready for JSON; the names carry the units.
 
-    A track has its `relative`, or null, in itself, and its `camera` where not all are of the first: as in the agent's
+    A track contains its `relative`, or null, and its `camera` unless all tracks are of the first: as in the agent's
     own JSON lines.
     """
     record: dict[str, Any] = _named(message)
@@ -29,7 +29,7 @@ def as_record(message: Message) -> dict[str, Any]:
 
 
 def from_record(kind: type[AnyMessage], record: Mapping[str, Any]) -> AnyMessage:
-    """What `as_record` named, checked again as if it were heard. Raises DecodeError."""
+    """Inverse of `as_record`, with the same checks as a received message. Raises DecodeError."""
     fields = _unnamed(msgspec.inspect.type_info(kind), record)
     return codec.decode(kind, msgspec.msgpack.encode(fields))
 

@@ -1,4 +1,4 @@
-"""`identities/<id>`, the sightings: whom a drone sees, and on which ray."""
+"""`identities/<id>`, the sightings: teammates in view of a drone, and the ray to each."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from swarmtrack.wire.fields import (
 
 
 class SightingMessage(Record, frozen=True):
-    """One teammate in view: the unit vector towards it from the observer's camera, in the team's NED frame."""
+    """Unit vector to one teammate in view from the observer's camera, in the team's NED frame."""
 
     what: ClassVar[str] = "sighting"
     drone_id: DroneId
@@ -36,9 +36,10 @@ class SightingMessage(Record, frozen=True):
 
 
 class SightingsMessage(PeerMessage, frozen=True):
-    """`identities/<id>`: whom one drone sees, and where its camera was at the exposure, `age_s` before it was sent.
+    """`identities/<id>`: teammates in view of one drone and its camera's position at the exposure, `age_s` before
+    sending.
 
-    sequence counts what this boot published; known: whose announcements the observer has.
+    sequence counts what this boot published; known: drones whose announcements the observer has.
     """
 
     what: ClassVar[str] = "sightings"
@@ -50,7 +51,7 @@ class SightingsMessage(PeerMessage, frozen=True):
 
 
 def sightings_message(report: SightingReport, utc_offset: float, now: float) -> SightingsMessage:
-    """Ours as it goes on the wire at `now`."""
+    """The own sightings as sent at `now`."""
     r = report
     return SightingsMessage(
         *peer_fields(r.observer, r, utc_offset),
@@ -66,7 +67,7 @@ def sightings_message(report: SightingReport, utc_offset: float, now: float) -> 
 
 
 def check(message: SightingsMessage) -> None:
-    """Raises DecodeError."""
+    """Raise DecodeError for an invalid message."""
     for sighting in message.sightings:
         check_unit("sightings: direction", sighting.direction, "a unit vector")
     seen = [sighting.drone_id for sighting in message.sightings]
@@ -76,7 +77,7 @@ def check(message: SightingsMessage) -> None:
 
 
 def report_from(message: SightingsMessage, t: float, t_sigma: float) -> SightingReport:
-    """A teammate's report for us. t: the exposure, on our monotonic clock."""
+    """A teammate's sightings as the core takes them. t: the exposure, on our monotonic clock."""
     m = message
     return SightingReport(
         observer=m.drone_id,

@@ -1,4 +1,4 @@
-"""`tracks/<id>`: what a drone tracks now."""
+"""`tracks/<id>`: the current tracks of a drone."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class TrackMessage(Record, frozen=True):
 
 
 class ProofMessage(Record, frozen=True):
-    """That how a track moves says alone who it is: how surely, and for how long already."""
+    """A name confirmed by the track's motion alone: its probability, and for how long it has been confirmed."""
 
     what: ClassVar[str] = "proof"
     track_id: Annotated[int, Meta(ge=0, le=2**53)]
@@ -64,10 +64,10 @@ class ProofMessage(Record, frozen=True):
 
 
 class RelativeMessage(Record, frozen=True):
-    """Where the teammate of a track is, and how it moves, relative to this drone's camera, in team axes (NED).
+    """Position and velocity of a track's teammate relative to this drone's camera, in team axes (NED).
 
-    cov: of (position_m, velocity_m_s), upper triangle, row by row. range_sigma_log: how well the distance is known, as
-    a share of it. sources: what told of it beside the direction.
+    cov: of (position_m, velocity_m_s), upper triangle, row by row. range_sigma_log: uncertainty of the range, as a
+    share of it. sources: measurements used in addition to the direction.
     """
 
     what: ClassVar[str] = "relative"
@@ -80,13 +80,12 @@ class RelativeMessage(Record, frozen=True):
 
 
 class TracksMessage(Record, frozen=True, forbid_unknown_fields=False):
-    """`tracks/<id>`: all that one drone tracks at `t_utc_s`; its last scan was exposed `scan_age_s` earlier.
+    """`tracks/<id>`: all tracks of one drone at `t_utc_s`; its last scan was exposed `scan_age_s` earlier.
 
-    sequence counts what this boot published, so a jump by more than one is a lost message. proofs: of the tracks whose
-    motion proves their name. relatives: of those whose teammate has a known place. cameras: of each track, in their
-    order, in the pixels of which of the drone's cameras it is, from 0, as `camera/<id>` tells of them; empty: all are
-    of the first. Those of these fields at the end that are empty are not on the wire (`shortened`). As a health message
-    it may grow at its end.
+    sequence counts what this boot published, so a jump by more than one is a lost message. proofs: of tracks whose
+    name is confirmed by motion. relatives: of tracks whose teammate's position is known. cameras: for each track, in
+    order, the number of the drone's camera (from 0, see `camera/<id>`) in whose pixels it is; empty: all are of the
+    first. Empty fields at the end are not on the wire (`shortened`). Like a health message it may grow at its end.
     """
 
     what: ClassVar[str] = "tracks"
@@ -101,14 +100,14 @@ class TracksMessage(Record, frozen=True, forbid_unknown_fields=False):
     cameras: Annotated[tuple[CameraNumber, ...], Meta(max_length=MAX_TRACKS)] = ()
 
     def camera_of(self, index: int) -> int:
-        """In the pixels of which camera a track of `tracks` is."""
+        """Number of the camera in whose pixels a track of `tracks` is."""
         return self.cameras[index] if self.cameras else 0
 
 
 def tracks_message(tracks: TrackList, sequence: int, utc_offset: float, t_sigma: float) -> TracksMessage:
-    """A drone's tracks as they go on the wire; of more than `MAX_TRACKS` the most probable.
+    """The message of a drone's tracks; of more than `MAX_TRACKS`, the most probable.
 
-    t_sigma [s] is what we know of our own UTC.
+    t_sigma [s]: uncertainty of our own UTC.
     """
     kept = tracks.tracks
     if len(kept) > MAX_TRACKS:
@@ -181,8 +180,7 @@ _ARRAY, _FIELDS, _EMPTY = 0x90, 9, 0x90
 
 
 def shortened(data: bytes, message: TracksMessage) -> bytes:
-    """The bytes of a message without the fields at its end that are empty: those that readers from before they came
-    know."""
+    """Bytes of a message without empty fields at its end, which older readers do not have."""
     assert data[0] == _ARRAY | _FIELDS, "as encode makes it"
     empty = 0
     for field in (message.cameras, message.relatives, message.proofs):
@@ -196,7 +194,7 @@ def shortened(data: bytes, message: TracksMessage) -> bytes:
 
 
 def check(message: TracksMessage) -> None:
-    """Raises DecodeError."""
+    """Raise DecodeError for an invalid message."""
     proved = [proof.track_id for proof in message.proofs]
     if len(set(proved)) < len(proved) or not set(proved) <= {track.id for track in message.tracks}:
         raise DecodeError(f"tracks: proofs: of tracks {proved}, expected each once and among the tracks")
@@ -239,7 +237,7 @@ _NUMBERED = msgspec.msgpack.Decoder(_NumberedMessage)
 
 
 def tracks_sequence(data: bytes) -> int:
-    """The number of a tracks message, whatever else is in it. Raises DecodeError."""
+    """Sequence number of a tracks message; the rest is not decoded. Raises DecodeError."""
     try:
         return _NUMBERED.decode(data).sequence
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""`video/<id>`: what a drone's camera sees, for people."""
+"""`video/<id>`: images of a drone's camera, for people."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from swarmtrack.wire.lens import LensMessage, check_lens
 
 
 class VideoMessage(Record, frozen=True):
-    """`video/<id>`: one frame for people, said only while somebody listens.
+    """`video/<id>`: one frame for people, sent only while there is a subscriber.
 
-    t_utc_s: of the exposure; frame: as the camera counts them. width, height: of the picture, which is the whole image
-    of `lens` made smaller. jpeg is empty where the camera sends no pictures. position_m and quaternion_wxyz: of the
-    camera (x right, y down, z forward) in the team's NED frame, null where the drone does not know.
+    t_utc_s: of the exposure; frame: the camera's count. width, height: of the picture, which is the whole image of
+    `lens`, reduced. jpeg is empty where the camera delivers no pictures. position_m and quaternion_wxyz: of the camera
+    (x right, y down, z forward) in the team's NED frame, null while unknown.
     """
 
     what: ClassVar[str] = "video"
@@ -41,7 +41,7 @@ class VideoMessage(Record, frozen=True):
 
 
 def check(message: VideoMessage) -> None:
-    """Raises DecodeError."""
+    """Raise DecodeError for an invalid message."""
     m = message
     if m.quaternion_wxyz is not None:
         check_unit("video: quaternion_wxyz", m.quaternion_wxyz, "a unit quaternion")
