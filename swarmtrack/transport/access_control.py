@@ -1,7 +1,8 @@
-"""What each name may say: Zenoh's access control, the same in every process of the team.
+"""Zenoh's access control, the same in every process of the team: which keys each name may use.
 
-Every receiver filters by the name in the certificate at the other end of the link. A drone speaks below its own ID
-only, monitors ask and listen, routers pass everything on. Whoever is not in the roster may nothing, and sees nothing.
+Every receiver filters by the name in the certificate at the other end of the link. A drone publishes below its own ID
+only, monitors subscribe and query, routers forward everything. A name that is not in the roster may neither send nor
+receive.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ SPEAKING: Final = ("put", "delete", "reply", "declare_queryable", "liveliness_to
 
 
 def access_control(roster: Roster) -> dict[str, Any]:
-    """Zenoh's `access_control`. What comes in is judged by who sends it; what goes out only by where it belongs."""
+    """Zenoh's `access_control` section. Incoming messages are filtered by their sender, outgoing ones only by key."""
     everything = keys.key(roster.team, "**")
     rules = [
         _rule("send", "egress", (*ASKING, *SPEAKING), everything),

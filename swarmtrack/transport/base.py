@@ -1,4 +1,4 @@
-"""What the network is, to the agent."""
+"""The agent's interface to the network."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from swarmtrack.messages import Announcement, LinkStatus, PeerEvent
 
 
 class Kind(enum.StrEnum):
-    """The third part of every key, `swarmtrack/<team>/v1/<kind>/<id>`."""
+    """Third part of every key, `swarmtrack/<team>/v1/<kind>/<id>`."""
 
     POSE = "pose"
     ALIVE = "alive"
@@ -28,9 +28,9 @@ PUBLISHED: Final = (Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH, Kind
 
 
 class Sample(NamedTuple):
-    """What was heard, and when by our monotonic clock.
+    """A received message, and its arrival on our monotonic clock.
 
-    alive: False for a deletion, such as a token that went; payload is cut after MAX_BYTES + 1.
+    alive: False for a deletion, such as a liveliness token that disappeared; payload is cut after MAX_BYTES + 1.
     """
 
     key: str
@@ -40,42 +40,43 @@ class Sample(NamedTuple):
 
 
 class Transport(Protocol):
-    """Carries announcements surely, identities nearly so, tracks and health as well as it can."""
+    """Network of one drone: announcements are reliable, identities nearly so, tracks and health best effort."""
 
     async def open(self) -> None: ...
 
     async def announce(self, announcement: Announcement) -> None:
-        """Make our announcement known to all, now and later; one with a higher `sequence` replaces it."""
+        """Publish our announcement to all present and future peers; one with a higher `sequence` replaces it."""
         ...
 
     def request_announcement(self, drone_id: int) -> None:
-        """Ask a teammate to say anew where it is; what it says comes as any announcement, if it does.
+        """Ask a teammate to announce its pose again; the answer, if any, arrives like any announcement.
 
-        It gets an `AnnouncementRequested`. Never blocks; both ends let pass one a second, the rest is counted.
+        The teammate gets an `AnnouncementRequested`. Never blocks; both ends pass one request per second, the rest is
+        counted.
         """
         ...
 
     def describe(self, camera: bytes) -> None:
-        """Our `camera/<id>`: said once when the network opens, and to whoever asks. To be called before that."""
+        """Set our `camera/<id>`: sent once when the network opens, and on request. To be called before that."""
         ...
 
     def publish(self, kind: Kind, payload: bytes, camera: int = 0) -> bool:
-        """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop. Whether it was let go.
+        """Send our newest message of a kind in `PUBLISHED`; never blocks, may drop. Returns whether it was sent.
 
-        camera: whose picture it is, of `Kind.VIDEO`.
+        camera: number of the camera, for `Kind.VIDEO`.
         """
         ...
 
     def has_listener(self, kind: Kind, camera: int = 0) -> bool:
-        """Whether anybody listens to what we publish of this kind; costs nothing to ask. camera: as of `publish`."""
+        """Whether there is a subscriber to what we publish of this kind; cheap. camera: as in `publish`."""
         ...
 
     def events(self) -> AsyncIterator[PeerEvent]:
-        """What teammates said and whether they live, in order of arrival. Ends when closed.
+        """Announcements, reports, arrivals and departures of teammates, in order. Ends when closed.
 
         A new boot of a drone ends the one before. Where both live on for longer than a restart takes, that is an
-        `IdClash`, and both live. It lasts until a `PeerDeparted` leaves one boot alone, whose announcement is then told
-        again.
+        `IdClash`, and both live. It lasts until a `PeerDeparted` leaves one boot alone, whose announcement is then
+        delivered again.
         """
         ...
 

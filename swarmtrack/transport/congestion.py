@@ -1,12 +1,12 @@
-"""Whether our packets wait on their way: what the kernel knows of our TCP links.
+"""Detection of queues on the way of our packets, from the kernel's statistics of our TCP links.
 
-Signs of life go over TCP or TLS in every mesh, several times in each lease, so the kernel measures all the time how
-long an answer takes. Where it takes much longer than the quickest one of the last minutes, packets wait somewhere: in
-the radio most likely. The kernel tells a running mean; two means tell the sample between them. An answer that was lost
-looks late as well, so the quickest of the last few counts, and of the links at one address of ours one in the middle:
-they have the same radio. Where TCP itself has bytes left that it could not send yet, that is said too.
+Keep-alives go over TCP or TLS in every mesh, several times in each lease, so the kernel measures the round trip all
+the time. Where it is much longer than the shortest one of the last minutes, packets wait somewhere: most likely in the
+radio. The kernel reports a running mean; two means give the sample between them. A lost answer looks late as well, so
+the shortest of the last few counts, and of the links at one address of ours the median: they have the same radio.
+Bytes that TCP itself could not send yet are reported too.
 
-A link that is QUIC alone (to routers) tells nothing, nor does a system that is not Linux.
+A link that is QUIC alone (to routers) gives no statistics, and neither does a system other than Linux.
 """
 
 from __future__ import annotations
@@ -27,8 +27,9 @@ _UNANSWERED, _LAST_ANSWER, _RTT, _UNSENT, _MIN_RTT, _SIZE = 24, 56, 68, 144, 148
 
 
 class Sent(NamedTuple):
-    """Of one link. own: our address; rtt_s: mean of round trips; min_rtt_s: the shortest of some minutes; unanswered_s:
-    since the last answer, where one is due; unsent: bytes."""
+    """Statistics of one link. own: our address; rtt_s: mean round trip; min_rtt_s: the shortest of some minutes;
+    unanswered_s: since the last answer, where one is due; unsent: bytes.
+    """
 
     own: str
     rtt_s: float
@@ -38,15 +39,16 @@ class Sent(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """delay_s: how much later than the quickest answers come, on most links of the worst address. unsent: bytes, on the
-    worst link."""
+    """Queues. delay_s: median excess of the round trip over the shortest, at the worst address. unsent: bytes, on
+    the worst link.
+    """
 
     delay_s: float
     unsent: int
 
 
 class Congestion:
-    """Pure state: told of every link at each look."""
+    """Pure state: `measure` takes the statistics of every link at each sampling."""
 
     def __init__(self) -> None:
         self._means: dict[str, float] = {}
@@ -77,7 +79,7 @@ class Congestion:
 
 
 def look_at_links(ends: Collection[str]) -> dict[str, Sent]:
-    """By HOST:PORT of the other end, as Zenoh says it; those that are TCP. None where the system tells nothing."""
+    """Statistics of the TCP links, by HOST:PORT of the other end in Zenoh's form. None where the system has none."""
     found = {}
     for stream in own_streams() if ends else ():
         try:

@@ -1,4 +1,4 @@
-"""Whoever has keys reads the roster again once it has changed: who left the team is heard no more."""
+"""Follows the roster in a process with keys: a drone that left the team is disconnected when the file changes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from swarmtrack.security.credentials import Credentials
 async def follow_roster(
     credentials: Credentials | None, clock: Clock, renew: Callable[[Credentials], Awaitable[None]]
 ) -> None:
-    """Until cancelled; at once where there are no keys. renew: told of each newer roster, or renewed certificate."""
+    """Run until cancelled; returns at once without keys. renew: called with each newer roster or renewed
+    certificate.
+    """
     if credentials is None:
         return
     # Not above: who has no keys need not load cryptography.

@@ -1,4 +1,4 @@
-"""Tracks and pictures give way to all else on a radio that is full: `pacing`, told by one Zenoh session."""
+"""Rate limit for tracks and pictures on a full radio: `pacing` with the figures of one Zenoh session."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ Channel = tuple[Kind, int]
 
 
 class GivingWay:
-    """Of one agent's publishers, whatever session they belong to."""
+    """Rate limit of one agent's publishers, across its sessions."""
 
     def __init__(self, network: NetworkSettings, clock: Clock) -> None:
         budget = network.tracks_kbit_s
@@ -43,7 +43,7 @@ class GivingWay:
         self.counters: Counter[str] = Counter()
 
     def declare(self, publishers: Mapping[Channel, zenoh.Publisher]) -> list[Any]:
-        """What tells us whether anybody listens."""
+        """Declare the publishers that show whether there are subscribers."""
         self._listened.clear()
         return [
             publisher.declare_matching_listener(
@@ -62,11 +62,11 @@ class GivingWay:
             self._listened.discard(channel)
 
     def has_listener(self, channel: Channel) -> bool:
-        """Whether anybody listens to what is paced."""
+        """Whether there is a subscriber to a rate-limited kind."""
         return channel in self._listened
 
     def lets_go(self, channel: Channel, size: int) -> bool:
-        """Whether a message may be said now; what may not is counted."""
+        """Whether a message may be sent now; a refused one is counted."""
         if channel not in self._listened:
             return True
         kind, _ = channel
@@ -76,13 +76,13 @@ class GivingWay:
 
     @property
     def note(self) -> str:
-        """For the status; nothing where all goes through."""
+        """Remark for the status; empty where everything goes through."""
         if not self._listened or not self._pacing.gives_way:
             return ""
         return f"; the radio is full, tracks give way: {self._pacing.bytes_s / 125.0:.0f} kbit/s"
 
     async def run(self, session: zenoh.Session, teammates: Callable[[], int]) -> None:
-        """Until cancelled. teammates: how many live."""
+        """Run until cancelled. teammates: number of live ones."""
         while True:
             await asyncio.sleep(PACE_CHECK_PERIOD_S)
             if self._listened:

@@ -1,4 +1,4 @@
-"""Making links, however often that fails at first."""
+"""Repeated attempts to open links."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 
 async def keep_joining(join: Callable[[], Awaitable[None]]) -> None:
-    """Until `join` raises no TransportError. The first failure is a warning, the others are only for who asks."""
+    """Retry until `join` raises no TransportError. The first failure is a warning, the others are debug output."""
     for attempt in itertools.count():
         try:
             return await join()

@@ -1,4 +1,4 @@
-"""Where things are said: `swarmtrack/<team>/v1/<kind>/<id>[/…]`, and which message each kind is."""
+"""Key expressions `swarmtrack/<team>/v1/<kind>/<id>[/…]`, and the message type of each kind."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ _OTHERS = tuple(map(str, range(1, MOST_CAMERAS)))
 
 
 class Address(NamedTuple):
-    """A key, taken apart."""
+    """A parsed key."""
 
     team: str
     kind: Kind
@@ -73,12 +73,12 @@ def key(team: str, kind: Kind | str, *rest: int | str) -> str:
 
 
 def video_key(team: str, drone_id: int | str, camera: int = 0) -> str:
-    """Of the pictures of one of a drone's cameras, from 0: that of the first has no number."""
+    """Zenoh key of one camera's video; camera 0 has no suffix."""
     return key(team, Kind.VIDEO, drone_id, *([camera] if camera else []))
 
 
 def camera_of(address: Address) -> int | None:
-    """Whose pictures are said on a key of `Kind.VIDEO`; None where that is no camera of ours."""
+    """Camera number of a key of `Kind.VIDEO`; None for an invalid one."""
     match address.rest:
         case ():
             return 0
@@ -89,14 +89,14 @@ def camera_of(address: Address) -> int | None:
 
 
 def all_but_video(team: str) -> list[str]:
-    """For who wants to hear everything: video is only said while somebody listens to it, and then it costs."""
+    """Key expressions of everything except video, which is sent, at a cost, only while there is a subscriber."""
     quiet = (Kind.POSE, Kind.CAMERA, Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH)
     in_two_parts = (key(team, kind, "*", "*") for kind in (Kind.ALIVE, Kind.RANGE))
     return [*in_two_parts, *(key(team, kind, "*") for kind in quiet)]
 
 
 def parse(text: str) -> Address | None:
-    """The key's parts, or None where it is none of ours."""
+    """Parts of a key, or None for a foreign one."""
     return _parsed(text) if len(text) <= USUAL_KEY_LENGTH else _parsed.__wrapped__(text)
 
 
@@ -113,5 +113,5 @@ def is_boot(text: str) -> bool:
 
 
 def new_boot() -> str:
-    """A name for one life of a process: 8 hex digits, by chance, because nothing else survives every restart."""
+    """ID of one run of a process: 8 random hex digits, because nothing else survives every restart."""
     return secrets.token_hex(4)

@@ -1,11 +1,11 @@
-"""Who is dialled helps those who dial it to find its hardware address.
+"""Datagrams from a dialled end to its diallers, which help them to resolve its hardware address.
 
 A dialler's first packet waits until a broadcast of its kernel's (ARP, or IPv6's neighbour solicitation) is answered:
-one try each second, of which a radio that loses two fifths of all frames carries a third. No radio repeats a broadcast,
-and three tries in a row may well fail. But whoever is asked learns who asks. So the dialled end sends its diallers a
-datagram each second until they are linked, which makes its kernel ask for them: then the dialler knows as soon as one
-broadcast arrives, of either end. The datagram itself is empty, goes to where the dialler listens for QUIC, and tells
-nobody anything.
+one try per second, of which a radio that loses two fifths of all frames carries a third. No radio repeats a broadcast,
+and three tries in a row may well fail. But the host that is asked learns the address of the one that asks. So the
+dialled end sends its diallers a datagram each second until they are linked, which makes its own kernel ask for them:
+then one broadcast that arrives, of either end, is enough. The datagram itself is empty, goes to the dialler's QUIC
+port, and carries no information.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from swarmtrack.transport.settings import parse_endpoint
 
 
 async def keep_knocking(callers: Collection[str], linked: Callable[[], Collection[str]]) -> None:
-    """Until cancelled. callers: endpoints of those who dial us; linked: the hosts at the other ends of our links."""
+    """Run until cancelled. callers: endpoints of our diallers; linked: hosts at the other ends of our links."""
     doors = [door for caller in callers if (door := _door(caller)) is not None]
     while doors:
         hosts = linked()

@@ -1,4 +1,4 @@
-"""Whose links are up, by the names in their certificates. Zenoh fails in silence: what is missing is said here."""
+"""Links that are up, by the names in their certificates. Zenoh fails silently: missing links are reported here."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class LinksUp:
-    """names: in the certificates at the other ends; links without keys have none. count: of links. datagrams: the names
-    at the other end of links that are no streams. hosts: where the other ends are."""
+    """names: in the certificates at the other ends; links without keys have none. count: number of links.
+    datagrams: names at the other ends of links that are not streams. hosts: of the other ends.
+    """
 
     names: frozenset[str] = frozenset()
     count: int = 0
@@ -45,7 +46,7 @@ def links_up(session: zenoh.Session | None) -> LinksUp:
 
 @dataclass
 class LinkWatch:
-    """Says once for each name what is odd: expected and never there, or there and not of the team."""
+    """Reports once per name an expected link that never came up, or a link to a name outside the team."""
 
     network: NetworkSettings
     _unseen: set[str] = field(init=False)
@@ -57,14 +58,14 @@ class LinkWatch:
         self._unseen = set(self.network.expected)
 
     async def run(self, look: Callable[[], LinksUp]) -> None:
-        """Until cancelled."""
+        """Run until cancelled."""
         for period in itertools.count(1):
             await asyncio.sleep(LINK_CHECK_PERIOD_S)
             for line in self.news(look(), patient=period < LINK_START_CHECKS):
                 log.warning(line)
 
     def news(self, up: LinksUp, *, patient: bool) -> list[str]:
-        """What to say now; patient: not yet of those who are only late."""
+        """New log lines; patient: names that are merely late are left out."""
         strangers = self.strangers(up) - self._strangers
         self._strangers |= strangers
         lines = [
@@ -94,7 +95,7 @@ class LinkWatch:
         ]
 
     def streams_only(self, up: LinksUp) -> frozenset[str]:
-        """To whom there should be a second link, for datagrams, and is none."""
+        """Names whose second link, for datagrams, is missing."""
         endpoints = (*self.network.listen, *self.network.connect)
         wanted = self.network.mode is Mode.PEER and any(text.startswith("quic/") for text in endpoints)
         return (up.names & set(self.network.expected)) - up.datagrams if wanted else frozenset()
@@ -104,7 +105,7 @@ class LinkWatch:
         return frozenset() if credentials is None else up.names - set(credentials.roster.names)
 
     def describe(self, up: LinksUp) -> str:
-        """For the status: `linked to drone-2, monitor; not to drone-3`."""
+        """Text for the status: `linked to drone-2, monitor; not to drone-3`."""
         if self.network.credentials is None:
             return f"{up.count} links"
         missing = set(self.network.expected) - up.names
@@ -114,7 +115,7 @@ class LinkWatch:
         return f"{text}; no datagrams with {_listed(without)}" if without else text
 
     def is_connected(self, up: LinksUp) -> bool:
-        """A client without a router is cut off; a peer alone may just be the first."""
+        """Whether the process is connected: a client without a router is not; a peer alone may be the first one."""
         return self.network.mode != Mode.CLIENT or up.count > 0
 
     @property

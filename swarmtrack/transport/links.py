@@ -1,4 +1,4 @@
-"""What an address HOST[:PORT] stands for: the links between two processes, as Zenoh's endpoints.
+"""Zenoh endpoints of an address HOST[:PORT]: the links between two processes.
 
 With keys, a pair of drones has two links: TLS on PORT for what must arrive, and QUIC on PORT + 1, whose datagrams are
 for tracks, which a lost packet must not hold up. QUIC has a stream as well, because Zenoh's four messages of greeting
@@ -22,7 +22,7 @@ _ADDRESS: Final = re.compile(r"(?P<host>\[[0-9A-Fa-f:.%]+\]|[^\s:/?#\[\]]+)(:(?P
 
 
 class EndpointTemplate(enum.Enum):
-    """What an address stands for."""
+    """Endpoints at an address."""
 
     PLAIN = ("tcp/{host}:{port}",)
     PAIR = ("tls/{host}:{port}?rel=1", "quic/{host}:{next_port}?mixed_rel=1")
@@ -30,16 +30,16 @@ class EndpointTemplate(enum.Enum):
 
     @classmethod
     def direct(cls, secured: bool) -> EndpointTemplate:
-        """Between two who speak to each other."""
+        """Template between two peers."""
         return cls.PAIR if secured else cls.PLAIN
 
     @classmethod
     def relayed(cls, secured: bool) -> EndpointTemplate:
-        """Of anybody and a router."""
+        """Template between any process and a router."""
         return cls.RELAYED if secured else cls.PLAIN
 
     def at(self, address: str, where: str) -> tuple[str, ...]:
-        """Zenoh's endpoints at an address; one that is an endpoint already stays as it is. Raises TransportError."""
+        """Zenoh endpoints at an address; a complete endpoint is kept as it is. Raises TransportError."""
         if "/" in address:
             return (address,)
         match = _ADDRESS.fullmatch(address)
@@ -52,7 +52,7 @@ class EndpointTemplate(enum.Enum):
 
     @property
     def anywhere(self) -> tuple[str, ...]:
-        """On loopback, at ports that the system picks."""
+        """Endpoints on loopback, at ports that the system picks."""
         return tuple(endpoint.format(host="127.0.0.1", port=0, next_port=0) for endpoint in self.value)
 
     def at_all(self, addresses: Iterable[str], where: str) -> tuple[str, ...]:
@@ -60,6 +60,6 @@ class EndpointTemplate(enum.Enum):
 
 
 def host_of(address: str) -> str:
-    """Without the port, and without the brackets of IPv6; nothing where it is no address."""
+    """Host of an address without the port, and without the brackets of IPv6; empty where it is not an address."""
     match = _ADDRESS.fullmatch(address)
     return "" if match is None else match["host"].strip("[]")

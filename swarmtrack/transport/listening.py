@@ -1,4 +1,4 @@
-"""How a program that is no drone finds a team."""
+"""Network settings of programs that are not drones."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ def network_of_listener(
     keys: Path | None = None,
     insecure: bool = False,
 ) -> NetworkSettings:
-    """team: its name, None: as the keys or the file say. config: the team's file. connect: where agents listen, nothing
-    else then. keys: the folder of a monitor. insecure: beyond this machine without keys.
+    """Settings of a listener. team: its name, None: from the keys or the file. config: the team's file. connect:
+    addresses of agents, used exclusively. keys: the folder of a monitor. insecure: allow other machines without
+    keys.
 
     Raises ConfigError, TransportError or KeysError.
     """
@@ -46,7 +47,8 @@ def network_of_companion(
     keys: Path | None = None,
     insecure: bool = False,
 ) -> NetworkSettings:
-    """Of a program on board of a drone, beside its agent. keys: the drone's own folder; all else as of a listener.
+    """Settings of a program on board of a drone, next to its agent. keys: the drone's own folder; the rest as in
+    `network_of_listener`.
 
     Raises ConfigError, TransportError or KeysError.
     """
@@ -88,13 +90,13 @@ def _section(
 
 
 class HasTeams(Protocol):
-    """Something that can tell whose drones live within its reach."""
+    """A session that can list the teams within its reach."""
 
     async def teams(self) -> set[str]: ...
 
 
 async def other_teams(listener: HasTeams, team: str) -> tuple[str, ...]:
-    """Whom we could hear instead of a team that says nothing."""
+    """Names of other teams within reach, where the given team is silent."""
     try:
         return tuple(sorted(await listener.teams() - {team}))
     except TransportError:
@@ -102,7 +104,7 @@ async def other_teams(listener: HasTeams, team: str) -> tuple[str, ...]:
 
 
 def hint_at(others: Sequence[str]) -> str:
-    """Words for somebody who named the wrong team, or nothing."""
+    """Hint for a wrong team name, or an empty string."""
     if not others:
         return ""
     named = ", ".join(plain(other, 64) for other in others[:MOST_TEAMS_NAMED])
@@ -111,7 +113,7 @@ def hint_at(others: Sequence[str]) -> str:
 
 
 def credentials_in(folder: Path, role: Role) -> Credentials:
-    """The credentials of whatever process of a role a folder is for. Raises KeysError."""
+    """Credentials in a folder, whatever the role of its process. Raises KeysError."""
     # Not above: who has no keys need not load cryptography.
     from swarmtrack.security.loading import find_name, load_credentials  # noqa: PLC0415
 

@@ -1,19 +1,19 @@
-"""Who is in the team right now. Told of liveliness tokens and messages; answers with events.
+"""Current members of the team. Takes liveliness tokens and messages; returns events.
 
-Theory of operation. A process is alive from the moment its token `alive/<id>/<boot>` is seen until it goes. The boot
-names one life of the process. A second boot of an ID is a restart, so the first has departed: of a process that was
-killed the token stays for as long as its links take to notice. Where both tokens stand for longer, or the first boot is
-heard again, it is no restart but two processes that speak as one drone: an `IdClash`, told again for each further one,
-which ends with the `PeerDeparted` of all but one.
+Theory of operation. A process is alive while its token `alive/<id>/<boot>` exists. The boot identifies one run of the
+process. A second boot of an ID is a restart, so the first has departed: the token of a killed process remains until
+its links notice. Where both tokens remain for longer, or a message of the first boot arrives, it is not a restart but
+two processes with one ID: an `IdClash`, reported again for each further one, which ends with the `PeerDeparted` of all
+but one.
 
-A message counts once its boot is alive, and if its sequence is higher than the last of that boot; whoever is alive
-without an announcement is `missing` and to be asked, again and again, because whatever was put before the links stood
-is lost. Whoever departs is forgotten, so that after a healed partition its announcement is asked for and told anew.
+A message counts once its boot is alive, and if its sequence is higher than the last of that boot; a live boot without
+an announcement is `missing` and to be asked, again and again, because a message that was put before the links stood is
+lost. A departed boot is deleted, so that after a healed partition its announcement is requested and delivered again.
 
-Of two boots both announcements are told. When one is left, its announcement is told once more: whoever believed neither
-during a clash has something to start from, and whoever believed the later one is put right.
+Of two boots both announcements are delivered. When one is left, its announcement is delivered once more: a receiver
+that trusted neither during a clash has something to start from, and one that trusted the later is corrected.
 
-A clone of our own ID is reported as clash and departure only: we have no teammate of our own name.
+A clone of our own ID is reported as clash and departure only: no teammate has our ID.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NAMES = {AnnouncementMessage: "announcements", SightingsMessage: "sightings", M
 
 @dataclass(slots=True)
 class LiveBoot:
-    """What is known of one live boot."""
+    """State of one live boot."""
 
     announcement: Announcement | None = None
     reported: dict[type[Numbered], int] = field(default_factory=dict)
@@ -45,7 +45,7 @@ class LiveBoot:
 
 
 class Membership:
-    """Pure state. `counters` holds, by reason, how often something was refused."""
+    """Pure state. `counters` counts rejected messages by reason."""
 
     def __init__(self, drone_id: int, boot: str, clash_s: float) -> None:
         """clash_s: after so long two boots of one ID are two processes."""
@@ -61,7 +61,7 @@ class Membership:
         self.counters: Counter[str] = Counter()
 
     def arrived(self, drone_id: int, boot: str, t: float) -> list[PeerEvent]:
-        """A token was seen at t [s], by any clock."""
+        """A token appeared at t [s], by any clock."""
         ours = drone_id == self._drone_id
         if ours and boot == self._boot:
             return []
@@ -85,7 +85,7 @@ class Membership:
         return events
 
     def departed(self, drone_id: int, boot: str) -> list[PeerEvent]:
-        """A token went."""
+        """A token disappeared."""
         lives = self._lives.get(drone_id, {})
         if boot not in lives:
             return []
@@ -114,7 +114,7 @@ class Membership:
         return events
 
     def part(self) -> list[PeerEvent]:
-        """All links are closed: who is alive is to be heard of anew."""
+        """All links are closed: live boots have to appear again."""
         events: list[PeerEvent] = []
         for drone_id, lives in self._lives.items():
             boots = list(lives) if drone_id in self._clashing else [self._believed.get(drone_id)]
@@ -124,7 +124,7 @@ class Membership:
         return events
 
     def settle(self, t: float) -> list[PeerEvent]:
-        """By t [s]: whoever has had several boots for too long is no restart."""
+        """Decide at t [s] which IDs have had several boots for too long to be restarting."""
         clashes = [drone for drone, since in self._contested.items() if t - since >= self._clash_s]
         for drone_id in clashes:
             del self._contested[drone_id]
@@ -133,14 +133,14 @@ class Membership:
 
     @property
     def settles_at(self) -> float | None:
-        """When `settle` will next have something to say [s]; None: it has nothing."""
+        """Next time at which `settle` has something to report [s]; None: never."""
         return min(self._contested.values()) + self._clash_s if self._contested else None
 
     def _clash(self, drone_id: int) -> IdClash:
         return IdClash(drone_id, self.alive(drone_id), drone_id == self._drone_id)
 
     def life(self, key_id: int, message: Numbered, t: float) -> LiveBoot | None:
-        """Whose message it is that came on a key of `key_id` at t [s]; None where it does not count, and is counted."""
+        """Boot of a message that came on a key of `key_id` at t [s]; None where it does not count, and is counted."""
         since = self._contested.get(key_id, t)
         is_older = message.boot != self._believed.get(key_id) and message.boot in self._lives.get(key_id, {})
         if is_older and t - since > OLD_BOOT_ON_ITS_WAY_S:
@@ -165,24 +165,24 @@ class Membership:
         return "repeated" if last is not None and message.sequence <= last else None
 
     def alive(self, drone_id: int) -> tuple[str, ...]:
-        """The live boots of one ID, our own among them."""
+        """Live boots of one ID, including our own."""
         boots = tuple(self._lives.get(drone_id, {}))
         return (self._boot, *boots) if drone_id == self._drone_id else boots
 
     def speaking(self, drone_id: int) -> tuple[str, ...]:
-        """The boots of one ID that are believed to live: one, or all of a clash."""
+        """Boots of one ID that are taken to be alive: one, or all of a clash."""
         if drone_id in self._clashing:
             return self.alive(drone_id)
         return (self._believed[drone_id],) if drone_id in self._believed else ()
 
     @property
     def peers(self) -> tuple[int, ...]:
-        """The IDs of all live teammates."""
+        """IDs of all live teammates."""
         return tuple(i for i in self._lives if i != self._drone_id)
 
     @property
     def missing(self) -> tuple[int, ...]:
-        """The IDs whose announcement is to be asked for."""
+        """IDs whose announcement is to be requested."""
         return tuple(
             i
             for i, lives in self._lives.items()

@@ -1,4 +1,4 @@
-"""A network inside one process, with faults that happen when told to. For tests and simulations.
+"""A network inside one process, with scripted faults. For tests and simulations.
 
 It carries the same bytes on the same keys as Zenoh does, and loses them by script: `hub.lose`, `hub.partition`,
 `hub.kill`.
@@ -21,10 +21,10 @@ from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
 
 
 class MemoryHub:
-    """The air between `MemoryTransport`s.
+    """The medium between `MemoryTransport`s.
 
-    lose(sender, receiver, key): whether this message, question or answer gets lost; tokens never do, like Zenoh's.
-    listeners: called with every (key, payload) published, as a monitor would hear it.
+    lose(sender, receiver, key): whether this message, query or answer gets lost; tokens never do, as in Zenoh.
+    listeners: called with every (key, payload) published, like a monitor.
     """
 
     def __init__(self) -> None:
@@ -34,19 +34,19 @@ class MemoryHub:
         self._islands: list[frozenset[int]] = []
 
     def partition(self, *islands: Iterable[int]) -> None:
-        """From now on each island of drone IDs hears only itself; who is on none hears all."""
+        """Split the network: each island of drone IDs receives only itself; a drone on no island receives all."""
         self._change_links([frozenset(island) for island in islands])
 
     def heal(self) -> None:
         self._change_links([])
 
     def kill(self, transport: MemoryTransport) -> None:
-        """As kill -9: no farewell, the others see the token go."""
+        """As kill -9: without a farewell, only the token disappears."""
         self._leave(transport)
         transport._stop()
 
     def put(self, key: str, payload: bytes) -> None:
-        """Anything, by anyone, heard by all."""
+        """Publish anything, from any sender, to all."""
         for member in self._members:
             member._receive(key, payload)
 
@@ -100,7 +100,7 @@ class MemoryHub:
 
 
 class MemoryTransport:
-    """One drone's end of a `MemoryHub`. sign, verify: of announcements, None to leave it."""
+    """One drone's end of a `MemoryHub`. sign, verify: of announcements; None: unsigned."""
 
     def __init__(
         self,

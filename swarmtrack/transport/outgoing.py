@@ -1,4 +1,4 @@
-"""What we say once and to whoever asks, on its way out: our announcement, and our camera."""
+"""Own messages that are sent once and on request: the announcement and the camera."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class _Budget:
 
 
 class Outgoing:
-    """Checked, only ever replaced by a later one, and told each time with the age its pose has by then.
+    """Checked messages, replaced only by later ones, and encoded with the age of the pose at sending.
 
-    camera: our `camera/<id>`, the same for as long as we live. Any thread may call: Zenoh has questions answered in
-    threads of its own.
+    camera: our `camera/<id>`, constant for this process. Any thread may call: Zenoh answers queries in threads of its
+    own.
     """
 
     def __init__(self, team: str, drone_id: int, boot: str, clock: Clock, sign: Sign | None) -> None:
@@ -59,7 +59,7 @@ class Outgoing:
         self._counters: Counter[str] = Counter()
 
     def replace(self, announcement: Announcement) -> None:
-        """Raises ValueError where the announcement is not ours, not newer, or not sound."""
+        """Replace the announcement. Raises ValueError where it is not ours, not newer, or not valid."""
         if (announcement.drone_id, announcement.boot) != (self._drone_id, self._boot):
             raise ValueError(
                 f"announcement of drone {announcement.drone_id} boot {announcement.boot}, "
@@ -80,7 +80,7 @@ class Outgoing:
             return self._tell()
 
     def answer(self) -> bytes | None:
-        """The same for whoever asks; None too where too many ask."""
+        """Bytes for an answer to a query; None before the first announcement and above the rate limit."""
         with self._lock:
             if not self._answers.allows():
                 self._counters["answers_refused"] += 1
@@ -89,12 +89,12 @@ class Outgoing:
 
     @property
     def announced(self) -> bool:
-        """Whether there is anything to tell."""
+        """Whether there is an announcement."""
         with self._lock:
             return self._announcement is not None
 
     def camera_answer(self) -> bytes | None:
-        """Our camera for whoever asks; None without one, and where too many ask."""
+        """Camera message for an answer to a query; None without one and above the rate limit."""
         with self._lock:
             if self.camera is not None and not self._camera_answers.allows():
                 self._counters["camera_answers_refused"] += 1
@@ -102,7 +102,7 @@ class Outgoing:
             return self.camera
 
     def accept_request(self) -> bool:
-        """Whether to heed one who wants us to announce anew: once a second, and if there is anything to renew."""
+        """Whether to accept a request to announce again: once per second, and if there is something to renew."""
         with self._lock:
             now = self._clock.now()
             soon = self._requested_at is not None and now - self._requested_at < ANNOUNCEMENT_REQUEST_PERIOD_S
@@ -115,7 +115,7 @@ class Outgoing:
 
     @property
     def counters(self) -> dict[str, int]:
-        """announcement_bytes: of one; announcements_sent: puts and answers."""
+        """announcement_bytes: size of one; announcements_sent: puts and answers."""
         with self._lock:
             return {
                 "announcement_bytes": len(self._encoded),

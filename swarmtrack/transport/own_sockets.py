@@ -1,4 +1,4 @@
-"""The sockets that Zenoh has open, which it shows nobody: what the system lists of this process."""
+"""Sockets that Zenoh has open but does not expose, from the system's list for this process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ DESCRIPTORS: Final = Path("/proc/self/fd")
 
 
 def own_streams() -> Iterator[socket.socket]:
-    """A copy of each TCP socket, for as long as it is looked at. None where the system does not list descriptors."""
+    """A duplicate of each TCP socket, for the duration of the iteration. None where the system does not list
+    descriptors.
+    """
     try:
         descriptors = [int(name) for name in os.listdir(DESCRIPTORS)]
     except OSError:

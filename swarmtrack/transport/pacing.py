@@ -1,13 +1,13 @@
-"""How much of what nobody needs in flight may be said: tracks and pictures give way before the radio is full.
+"""Rate limit for messages that flight does not need: tracks and pictures give way before the radio is full.
 
-Theory of operation. A bucket fills at a rate; what is said takes as many bytes from it as go out, to all listeners
-together. What finds it empty is not said and not kept: the next that is said is the newest. A message may take more
-than is left, so that a message larger than the bucket is said at last.
+Theory of operation. A token bucket fills at a rate; a message takes as many bytes as go out, to all listeners
+together. A message that finds it empty is dropped, not kept: the next one sent is the newest. A message may take more
+than is left, so that one larger than the bucket is sent eventually.
 
-The rate is without limit until packets wait (`congestion`). Then it is half of what was said, and half again while they
-wait; afterwards it grows, by a fifth each second, until it is more than is asked for. Where links have come or gone
-it begins low, so that the radio is not full before anything of it can be seen. Never is it more than the budget, nor
-less than a thousand bytes a second. (RFC 6817 gives way by the same sign.)
+The rate is unlimited until packets wait (`congestion`). Then it is half of what was sent, and half again while they
+wait; afterwards it grows by a fifth each second until it exceeds the demand. After a link came or went it begins low,
+so that the radio is not full before that can be measured. It is never more than the budget, nor less than a thousand
+bytes per second. (RFC 6817 yields on the same signal.)
 
 Pure state; times by any clock [s].
 """
@@ -32,7 +32,7 @@ from swarmtrack.transport.limits import (
 
 
 class Pacing:
-    """budget_bytes_s: at most, to all listeners together; None: no budget."""
+    """budget_bytes_s: upper limit, to all listeners together; None: none."""
 
     def __init__(self, budget_bytes_s: float | None = None) -> None:
         self._budget = math.inf if budget_bytes_s is None else budget_bytes_s
@@ -47,18 +47,19 @@ class Pacing:
 
     @property
     def bytes_s(self) -> float:
-        """What may be said in a second; infinite: whatever is asked for."""
+        """Current rate limit; infinite: no limit."""
         return min(self._rate, self._budget)
 
     @property
     def gives_way(self) -> bool:
-        """Whether less is said than is asked for, because packets waited or by the budget; not for being new."""
+        """Whether the rate is below the demand because of waiting packets or the budget, not because of a new link."""
         waited = self._growth == PACE_CAREFUL_GROWTH or self._budget <= self._rate
         return waited and self._asked_s > self.bytes_s
 
     def allows(self, size: int, listeners: int, now: float, *, tracks: bool) -> bool:
-        """Whether a message of `size` bytes may be said now; counted as said. Tracks go before all else. listeners: how
-        many times it goes out."""
+        """Whether a message of `size` bytes may be sent now; then it is counted as sent. Tracks have priority.
+        listeners: number of copies.
+        """
         cost = float((size + MESSAGE_OVERHEAD_BYTES) * listeners)
         self._asked += cost
         rate = self.bytes_s
@@ -73,11 +74,11 @@ class Pacing:
         return True
 
     def begin(self) -> None:
-        """Somebody begins to listen, or a link was lost."""
+        """A subscriber appeared, or a link was lost."""
         self._rate = min(self._rate, PACE_FIRST_BYTES_PER_S)
 
     def adjust(self, waiting: Waiting, now: float) -> None:
-        """To be called a few times a second."""
+        """Adapt the rate to the queues. To be called a few times per second."""
         if self._looked_at is None or now <= self._looked_at:
             self._looked_at = now
             return

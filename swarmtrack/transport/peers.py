@@ -1,6 +1,6 @@
-"""The part every transport shares: keys and bytes in, `PeerEvent`s out, on the event loop.
+"""The part that all transports share: keys and bytes in, `PeerEvent`s out, on the event loop.
 
-A transport brings what it hears to `on_token`, `on_message` and `on_request`, runs `ask_for_missing`, and lends
+A transport passes its input to `on_token`, `on_message` and `on_request`, runs `ask_for_missing`, and exposes
 `events`.
 """
 
@@ -50,13 +50,15 @@ SUBSCRIBED = {
 
 
 def subscriptions(team: str, drone_id: int) -> list[str]:
-    """What a drone listens to, beside tokens: all teammates, and of distances its own radio's."""
+    """Key expressions of a drone's subscriptions, apart from tokens: all teammates, and ranges of its own radio
+    only.
+    """
     others = [keys.key(team, kind, "*") for kind in SUBSCRIBED if kind is not Kind.RANGE]
     return [*others, keys.key(team, Kind.RANGE, drone_id, "*")]
 
 
 class Peers:
-    """What the team told us, until the agent takes it. Only the event loop may call."""
+    """Messages of the team, queued until the agent takes them. Only the event loop may call."""
 
     def __init__(
         self,
@@ -103,7 +105,7 @@ class Peers:
             self._newcomer.set()
 
     def on_message(self, key: str, payload: bytes, arrived: float) -> None:
-        """An announcement, a report of sightings or motion, or a distance. arrived: by our monotonic clock."""
+        """An announcement, a report of sightings or motion, or a range. arrived: on our monotonic clock."""
         address = self._address(key)
         if (
             address is None
@@ -131,8 +133,9 @@ class Peers:
             log.debug("message refused key=%s: %s", key, error)
 
     def renew(self, verify: Verify, expelled: Iterable[int]) -> None:
-        """All links were closed because of a newer roster, by which announcements are checked from now on. expelled:
-        who has left the team."""
+        """All links were closed because of a newer roster, which verifies announcements from now on. expelled:
+        names that left the team.
+        """
         self._verify = verify
         self.part()
         self._tell([PeerExpelled(drone_id) for drone_id in expelled])
@@ -143,13 +146,14 @@ class Peers:
         self._tell(self._membership.part())
 
     def silent(self, linked: Collection[int]) -> tuple[int, ...]:
-        """Who lives or is linked, and is not heard."""
+        """Teammates that are alive or linked but silent."""
         now = asyncio.get_running_loop().time()
         return tuple(sorted(self._silence.silent(self._present(linked), now)))
 
     def listen_for_silence(self, linked: Collection[int], ask: Callable[[int], None]) -> list[int]:
-        """To be called twice a second. Says who is not heard, has them asked, and tells for whose sake all links are to
-        be made again. linked: whose links stand, by their certificates; ask: have one say anything."""
+        """Log silent teammates, query them, and return those for which all links are to be reopened. To be called
+        twice per second. linked: names whose links are up, by their certificates; ask: queries a drone.
+        """
         now = asyncio.get_running_loop().time()
         present = self._present(linked)
         for line in self._silence.news(present, now):
@@ -162,13 +166,14 @@ class Peers:
         return {*self._membership.peers, *linked} - {self._drone_id}
 
     def on_answer(self, drone_id: int) -> None:
-        """A teammate answered a question, whatever it said. One whose token is lost may well answer, and is no teammate
-        for all that."""
+        """A teammate answered a query. A drone whose token is lost may answer too, and is not a teammate for that
+        reason.
+        """
         if drone_id in self._membership.peers:
             self._silence.mark_heard(drone_id, asyncio.get_running_loop().time())
 
     def on_request(self) -> None:
-        """Somebody wants us to announce anew."""
+        """Another process requests that we announce again."""
         self._tell([AnnouncementRequested()])
 
     def _on_announcement(self, drone_id: int, key: str, payload: bytes, arrived: float) -> None:
@@ -227,7 +232,7 @@ class Peers:
         return genuine
 
     def may_request(self, drone_id: int) -> bool:
-        """Whether to ask this teammate to announce anew: if it lives, and once a second; counted as asked."""
+        """Whether to ask this teammate to announce again: if it is alive, and once per second; counted as asked."""
         now = self._clock.now()
         self._requested_at = {
             i: t for i, t in self._requested_at.items() if now - t < ANNOUNCEMENT_REQUEST_PERIOD_S
@@ -240,8 +245,9 @@ class Peers:
         return True
 
     async def ask_for_missing(self, ask: Callable[[int], None]) -> None:
-        """Until cancelled: a moment after each newcomer, then every `ANNOUNCEMENT_QUESTION_PERIOD_S` while its
-        announcement is missing. What looked like a restart and is none is told as well."""
+        """Run until cancelled: query a moment after each newcomer, then every `ANNOUNCEMENT_QUESTION_PERIOD_S` while its announcement
+        is missing. Also reports IDs whose apparent restart is a clash.
+        """
         loop = asyncio.get_running_loop()
         due: dict[int, float] = {}
         while True:
@@ -270,7 +276,7 @@ class Peers:
             await self._news.wait()
 
     def close(self) -> None:
-        """Ends `events` after what is waiting."""
+        """End `events` after the queued ones."""
         self._closed = True
         self._news.set()
 
@@ -284,7 +290,7 @@ class Peers:
 
     @property
     def counters(self) -> Counter[str]:
-        """What was refused or lost, by reason."""
+        """Rejected and lost messages, by reason."""
         return self._counters + self._membership.counters + self._radios.counters
 
     @property

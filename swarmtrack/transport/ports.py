@@ -1,4 +1,4 @@
-"""Whether we can listen where we were told to, said before Zenoh tries, which says little and retries in silence."""
+"""Check of the ports to listen on before Zenoh tries, which reports little and retries silently."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DATAGRAMS: Final = ("udp", "quic")
 
 
 async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
-    """Raises TransportError for a port that stays taken, or is not ours to take.
+    """Wait for ports to become free. Raises TransportError for a port that stays taken, or is not permitted.
 
     An address that this machine does not have is worth a warning only: its interface may come up later.
     """
@@ -41,7 +41,7 @@ async def wait_for_ports(endpoints: tuple[str, ...]) -> None:
 
 
 async def obstacle(endpoint: Endpoint) -> OSError | None:
-    """What is against listening at an endpoint, for good; None: nothing."""
+    """Reason against listening at an endpoint, for good; None: none."""
     for _ in range(PORT_TRIES):
         error = await asyncio.to_thread(_try_to_bind, endpoint)
         if error is None or error.errno != errno.EADDRINUSE:

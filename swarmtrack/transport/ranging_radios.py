@@ -1,7 +1,7 @@
-"""Who speaks for the ranging radios on board, and what of it counts: pure state.
+"""Processes that publish for the ranging radios on board, and which of their messages count: pure state.
 
-A radio has no liveliness token: the process that reads it need not be an agent. What keeps others out is Zenoh's access
-control, which lets a drone's own certificate speak below its ID and no other.
+A radio has no liveliness token: the process that reads it need not be an agent. Others are kept out by Zenoh's access
+control, which lets only a drone's own certificate publish below its ID.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ class _Radio:
 
 
 class RangingRadios:
-    """Of one drone. `counters` holds, by reason, how often something was refused."""
+    """Radios of one drone. `counters` counts rejected messages by reason."""
 
     def __init__(self) -> None:
         self._radios: dict[str, _Radio] = {}
         self.counters: Counter[str] = Counter()
 
     def time_of(self, message: RangeMessage, *, arrived: float, utc_offset: float) -> StampedTime | None:
-        """When it was measured, on our monotonic clock; None where it does not count, and is counted."""
+        """Time of the measurement on our monotonic clock; None where it does not count, and is counted."""
         radio = self._radios.pop(message.boot, None) or _Radio()
         # The newest stands last.
         self._radios[message.boot] = radio

@@ -1,10 +1,10 @@
-"""When it was that a teammate speaks of, though its wall clock may be hours off, or ours.
+"""Time of a teammate's message on our clock, even if its wall clock or ours is hours off.
 
-Theory of operation. What tells a time on the wire tells it twice: as the sender's UTC, and as the age it had when the
-bytes were made. The sum of the two is when they were made, on the sender's wall clock; the difference to their arrival
-is how far the two clocks are apart, plus the time on the way. Only the way varies, and only upwards, so the smallest of
-the last differences is the best estimate. While it is small both clocks are taken to be kept by somebody, who knows
-UTC better than we can tell from arrivals; otherwise the time is carried over to our clock by the estimate.
+Theory of operation. A message states its time twice: as the sender's UTC, and as its age when the bytes were made. The
+sum of the two is the time of sending on the sender's wall clock; its difference to the arrival is the offset of the
+two clocks plus the time on the way. Only the latter varies, and only upwards, so the smallest of the last differences
+is the best estimate. While it is small both clocks are taken to be synchronised, with UTC more accurate than any
+estimate from arrivals; otherwise the time is mapped to our clock by the estimate.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class StampedTime(NamedTuple):
 
 
 class SenderClock:
-    """Of one boot, whose every message in order is to be told."""
+    """Clock of one boot; takes every message of it in order."""
 
     def __init__(self) -> None:
         self._differences: deque[float] = deque(maxlen=CLOCK_DIFFERENCES_KEPT)
@@ -40,9 +40,9 @@ class SenderClock:
         utc_offset: float,
         tolerance: float,
     ) -> StampedTime:
-        """When the message's pose held. arrived: on our monotonic clock; utc_offset: ours, UTC minus monotonic.
+        """Time of the message's content. arrived: on our monotonic clock; utc_offset: ours, UTC minus monotonic.
 
-        tolerance [s]: up to here two clocks count as one.
+        tolerance [s]: two clocks that differ by less count as synchronised.
         """
         difference = arrived + utc_offset - (message.t_utc_s + message.age_s)
         if self._differences and difference > min(self._differences) + CLOCK_STEP_S:
@@ -56,5 +56,5 @@ class SenderClock:
 
     @property
     def apart_s(self) -> float:
-        """How far our UTC is ahead of the sender's, the quickest message's way included; 0 before the first."""
+        """Our UTC minus the sender's, including the quickest message's transit; 0 before the first."""
         return min(self._differences, default=0.0)

@@ -1,4 +1,4 @@
-"""What one process is told of the network, and what is refused."""
+"""Network settings of one process, with their checks."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ _ENDPOINT = re.compile(r"(?P<protocol>tcp|udp|tls|quic|ws|unixsock-stream)/(?P<a
 
 
 class Mode(enum.StrEnum):
-    """Zenoh's own names. Peers speak to each other and relay nothing; clients speak to routers, who relay."""
+    """Zenoh's own names. Peers are linked to each other and forward nothing; clients are linked to routers, which
+    forward.
+    """
 
     PEER = "peer"
     CLIENT = "client"
@@ -27,14 +29,14 @@ class Mode(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class NetworkSettings:
-    """How one process reaches its team. `topology` makes one from what a team's file says.
+    """Network settings of one process. `topology` derives them from a team's file.
 
-    Without `listen` and `connect` the agents of one machine find each other on loopback, by themselves.
-    listen, connect: Zenoh endpoints, `tls/192.168.1.5:7447`; who only connects cannot be dialled. multicast: also find
-    peers by scouting on `interface`, a name or "auto" (the first that is not loopback). lease_s: after this long a
-    silent link counts as lost. insecure: beyond loopback without keys. credentials: our keys; None: without.
-    expected: the names of those whose links should come up. callers: of those who dial us, one endpoint each.
-    tracks_kbit_s: for tracks and pictures to all listeners together; None: as much as goes through.
+    Without `listen` and `connect` the agents of one machine find each other on loopback, by themselves. listen,
+    connect: Zenoh endpoints, `tls/192.168.1.5:7447`; a process that only connects cannot be dialled. multicast: also
+    find peers by scouting on `interface`, a name or "auto" (the first that is not loopback). lease_s: after this long
+    a silent link counts as lost. insecure: allow other machines without keys. credentials: our keys; None: without.
+    expected: names whose links should come up. callers: one endpoint of each dialler. tracks_kbit_s: for tracks and
+    pictures to all listeners together; None: unlimited.
     """
 
     team: str = "swarm"
@@ -57,7 +59,7 @@ class NetworkSettings:
 
 
 class Endpoint(NamedTuple):
-    """`tls/10.0.0.1:7447?rel=1`, taken apart; without a port for a Unix socket."""
+    """A parsed endpoint, `tls/10.0.0.1:7447?rel=1`; without a port for a Unix socket."""
 
     protocol: str
     host: str
@@ -74,7 +76,7 @@ class Endpoint(NamedTuple):
 
 
 def check(settings: NetworkSettings) -> None:
-    """Raises TransportError with what to write instead."""
+    """Raise TransportError with the remedy for invalid settings."""
     if not _TEAM.fullmatch(settings.team):
         raise TransportError(
             f"network.team: found {settings.team!r}, expected 1 to 64 letters, digits, '-' or '_'"
@@ -121,7 +123,7 @@ def _check_protection(text: str, where: str, settings: NetworkSettings) -> None:
 
 
 def parse_endpoint(text: str, where: str) -> Endpoint:
-    """Raises TransportError where it is no endpoint at all."""
+    """Parse an endpoint. Raises TransportError for anything else."""
     match = _ENDPOINT.fullmatch(text)
     if match is None:
         raise TransportError(

@@ -1,13 +1,14 @@
-"""Who is linked, and yet not heard.
+"""Teammates that are linked but silent.
 
-A teammate is judged by what comes from it reliably: its reports, once a second, its announcements, and answers. Signs
-of life of a link say little. Where one of the two links of a pair breaks, Zenoh loses what was on its way there: a
-drone's token, or what it listens to, is then never said again, and the two stay half deaf to each other behind a link
-that stands. So who says nothing for longer than a report takes is asked, which its transport answers, whatever its
-autopilot does. Who has not been heard for a lease is said to be *not heard*; after two, the links are renewed.
+A teammate is judged by its reliable messages: its reports, once per second, its announcements, and answers.
+Keep-alives of a link mean little. Where one of the two links of a pair breaks, Zenoh loses what was on its way there:
+a drone's token, or its subscription, is then never sent again, and the two stay half disconnected behind a link that
+stands. So a teammate that is silent for longer than a reporting interval is queried, which its transport answers
+whatever its autopilot does. One that has been silent for a lease is reported as *not heard*; after two, the links are
+reopened.
 
-Zenoh closes no link to one peer only, so all are, and not again within `REOPEN_REST_S`. Whoever is not heard afterwards
-either may have its own reasons: for its sake it is done after four times as long, each time. Pure state; times by any
+Zenoh cannot close a link to a single peer, so all are closed, and not again within `REOPEN_REST_S`. A teammate that stays
+silent afterwards may have reasons of its own: for it, the interval grows fourfold each time. Pure state; times by any
 clock [s].
 """
 
@@ -27,7 +28,7 @@ from swarmtrack.transport.limits import (
 
 
 class Silence:
-    """present: the IDs of those who live, by their tokens, or are linked."""
+    """present: IDs of teammates that are alive, by their tokens, or linked."""
 
     def __init__(self, lease_s: float) -> None:
         self._patience_s = max(lease_s, 2.0 * REPORT_PERIOD_S)
@@ -48,15 +49,17 @@ class Silence:
         self._told.clear()
 
     def silent(self, present: Iterable[int], now: float) -> dict[int, float]:
-        """Who is not heard, and for how long already [s]."""
+        """Silent teammates, and for how long each [s]."""
         return {d: s for d, s in self._since(present, now).items() if s > self._patience_s}
 
     def to_ask(self, present: Iterable[int], now: float) -> list[int]:
-        """Who has said nothing for longer than usual."""
+        """Teammates that have been silent for longer than usual."""
         return [d for d, s in self._since(present, now).items() if s > ASK_AFTER_SILENCE_S]
 
     def news(self, present: Iterable[int], now: float) -> list[str]:
-        """A sentence for each teammate that fell silent or is received again. One that is new has just been received."""
+        """A sentence for each teammate that became silent, or ended its silence. A new teammate counts as just
+        heard.
+        """
         here = set(present)
         for gone in self._heard.keys() - here:
             del self._heard[gone]
@@ -75,7 +78,7 @@ class Silence:
         ]
 
     def to_reopen(self, present: Iterable[int], now: float) -> list[int]:
-        """For whose sake all links are to be made again."""
+        """Teammates for which all links are to be reopened."""
         if now - self._reopened_at < REOPEN_REST_S:
             return []
         silent = self.silent(present, now)

@@ -34,7 +34,7 @@ async def keep_options() -> None:
 
 
 def set_options() -> int:
-    """How many sockets of this process had not been set yet."""
+    """Number of this process's sockets that were newly set."""
     return sum(map(_set, own_streams()))
 
 

@@ -1,11 +1,11 @@
-"""From a team's [network] to what each process listens on and dials.
+"""Endpoints that each process listens on and dials, from a team's [network].
 
-    mesh      every drone dials those of lower ID and is dialled by the higher: each pair once, and whoever comes back
-              is met again. Peers relay nothing; good to some thirty drones, all in reach of each other.
+    mesh      every drone dials those of lower ID and is dialled by the higher: each pair once, and a drone that
+              returns is met again. Peers forward nothing; good to some thirty drones, all in reach of each other.
     routers   drones are clients of the routers listed and need not reach each other; each router dials those before
               it in the list.
 
-What an address stands for is said in `links`.
+`links` defines the endpoints of an address.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from swarmtrack.transport.settings import Mode, NetworkSettings
 
 
 def of_drone(section: NetworkSection, drone_id: int, credentials: Credentials | None) -> NetworkSettings:
-    """Raises TransportError that names the entry which is wrong."""
+    """Settings of a drone. Raises TransportError that names the wrong entry."""
     if section.topology == "routers":
         return _settings(
             section,
@@ -53,7 +53,7 @@ def of_drone(section: NetworkSection, drone_id: int, credentials: Credentials | 
 
 
 def of_monitor(section: NetworkSection, credentials: Credentials | None) -> NetworkSettings:
-    """Who only listens dials everybody, because peers relay nothing; or any one router."""
+    """Settings of a listener: it dials all drones, because peers forward nothing; or any one router."""
     if section.topology == "routers":
         connect = EndpointTemplate.relayed(secured=credentials is not None).at_all(
             section.routers, "network.routers"
@@ -71,7 +71,7 @@ def of_monitor(section: NetworkSection, credentials: Credentials | None) -> Netw
 
 
 def of_companion(section: NetworkSection, drone_id: int, credentials: Credentials | None) -> NetworkSettings:
-    """A program on board of a drone speaks to that drone's agent only; or to any one router."""
+    """Settings of a program on board of a drone: it dials that drone's agent only; or any one router."""
     own = {i: address for i, address in section.peers.items() if int(i) == drone_id}
     if section.topology == "mesh" and section.peers and not own:
         raise TransportError(f"network.peers: has no address for drone {drone_id}, expected its agent's")
@@ -81,7 +81,9 @@ def of_companion(section: NetworkSection, drone_id: int, credentials: Credential
 def of_router(
     section: NetworkSection, listen: str | None, credentials: Credentials | None
 ) -> NetworkSettings:
-    """listen: one of `routers`; None: the one that is an address of this machine. Raises TransportError."""
+    """Settings of a router. listen: one of `routers`; None: the one that is an address of this machine. Raises
+    TransportError.
+    """
     if section.topology != "routers":
         raise TransportError(
             'network.topology: found "mesh", expected "routers": peers in a mesh take no router'

@@ -1,8 +1,8 @@
-"""From Zenoh's threads to the event loop, with bounds on what may wait and on what is done at a time.
+"""Bridge from Zenoh's threads to the event loop, with bounds on queued samples and on the work per turn.
 
 Zenoh calls back on threads of its own. A callback notes the time, copies the bytes into a `Bridge` and returns;
-decoding and all state live on the event loop. Whoever sends more than we can take only replaces its own messages: the
-keys take turns, each keeps its newest, and between two handfuls the loop does everything else it has to do.
+decoding and all state live on the event loop. A sender that floods only replaces its own messages: the keys take
+turns, each keeps its newest, and between two batches the loop does everything else it has to do.
 """
 
 from __future__ import annotations
@@ -24,10 +24,11 @@ from swarmtrack.wire.fields import MAX_MESSAGE_BYTES
 
 
 class Bridge:
-    """Hands samples from Zenoh's threads to the event loop, in order, holding at most `capacity` of them.
+    """Passes samples from Zenoh's threads to the event loop, in order, holding at most `capacity` of them.
 
-    When full, the oldest goes, counted in `dropped`. With `newest_per_key` only the last so many of each key wait, what
-    they replace is counted in `superseded`, and the loop rests between two handfuls, and longer before the next round.
+    When full, the oldest is dropped, counted in `dropped`. With `newest_per_key` only the last so many of each key
+    wait, replaced ones are counted in `superseded`, and the loop rests between two batches, and longer before the next
+    round.
     """
 
     def __init__(
@@ -53,12 +54,13 @@ class Bridge:
         self.superseded = 0
 
     def handler(self) -> Any:
-        """For Zenoh's `declare_*`: runs in Zenoh's thread, without a queue and a thread in between."""
+        """Callback for Zenoh's `declare_*`: runs in Zenoh's thread, without a further queue and thread."""
         return zenoh.handlers.Callback(self._on_sample, indirect=False)
 
     def replies(self, on_answer: Callable[[], object] | None = None) -> Any:
-        """For Zenoh's `get`. on_answer: to be called on the event loop for each answer, also one that has nothing to
-        tell yet. That time is over is told as a reply, too, and is none."""
+        """Callback for Zenoh's `get`. on_answer: called on the event loop for each answer, including an empty one.
+        A timeout arrives as a reply too, and is ignored.
+        """
 
         def on_reply(reply: zenoh.Reply) -> None:
             is_answer = reply.ok is not None or (
@@ -77,7 +79,7 @@ class Bridge:
         self.enqueue(Sample(str(sample.key_expr), payload, alive, self._clock.now()))
 
     def enqueue(self, sample: Sample) -> None:
-        """From any thread."""
+        """Add a sample, from any thread."""
         slot = sample.key if self._newest_per_key else ""
         with self._lock:
             queue = self._waiting.setdefault(slot, deque())
@@ -104,7 +106,7 @@ class Bridge:
             self._schedule(self._loop.call_later, self._rest, self._rested)
 
     def hand_over(self) -> None:
-        """On the loop: a handful now, without waiting for its turn; for what another bridge's samples refer to."""
+        """Deliver a batch now, on the loop and out of turn; for samples that those of another bridge refer to."""
         with self._lock:
             handful = [self._take() for _ in range(min(BRIDGE_HANDFUL, self._count))]
             self._round = max(0, self._round - len(handful))

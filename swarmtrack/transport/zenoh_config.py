@@ -1,4 +1,4 @@
-"""Zenoh's own config of one session. Unknown entries in it are errors at `open`: a typing mistake here cannot hide."""
+"""Zenoh's own config of one session. Unknown entries are errors at `open`, so a typing mistake here cannot hide."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from swarmtrack.transport.settings import ENCRYPTED, Mode, NetworkSettings
 
 
 def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tuple[str, ...]) -> zenoh.Config:
-    """For `zenoh.open`; only at loopback's meeting points is a port that is taken an error at once."""
+    """Config for `zenoh.open`; only at loopback's well-known ports is a taken port an error at once."""
     # Of two that learn of each other by gossip one dials, else they dial twice. Who cannot be dialled must dial.
     autoconnect = {"to_router": "always", "to_peer": "greater-zid" if listen else "always"}
     is_client = network.mode == Mode.CLIENT

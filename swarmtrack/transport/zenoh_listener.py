@@ -1,4 +1,4 @@
-"""Hearing a team without being of it."""
+"""Listener to a team without being a member."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ log = logging.getLogger(__name__)
 
 
 class ZenohListener:
-    """Hears a team without being of it: for echo, monitor and recorder.
+    """Receives a team's messages without being a member: for echo, monitor and recorder.
 
     key_expressions: full ones; `*` is one part of a key, `**` any number. `listen_to` and `leave` change them later,
-    which is for what is only said while somebody listens. Announcements and cameras that were told before we came are
-    asked for, so each is heard, if now and then twice. clock: of when samples come.
+    for kinds that are sent only while there is a subscriber. Announcements and cameras that were sent earlier are
+    requested, so each arrives, at times twice. clock: of the samples' arrivals.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class ZenohListener:
         self._later = dict.fromkeys(self._later)
 
     async def listen_to(self, key_expression: str) -> None:
-        """From now on this, too. Raises TransportError."""
+        """Subscribe to a further key expression. Raises TransportError."""
         session, bridge = self._session, self._bridge
         if bridge is None or key_expression in self._later:
             return
@@ -125,18 +125,18 @@ class ZenohListener:
             raise
 
     async def leave(self, key_expression: str) -> None:
-        """What `listen_to` began. Raises TransportError."""
+        """Undo `listen_to`. Raises TransportError."""
         subscriber = self._later.pop(key_expression, None)
         if subscriber is not None:
             await bounded(subscriber.undeclare, SESSION_OPEN_S, "undeclare")
 
     async def samples(self) -> AsyncIterator[Sample]:
-        """Until closed."""
+        """Received samples, until closed."""
         while (sample := await self._samples.get()) is not None:
             yield sample
 
     async def teams(self) -> set[str]:
-        """Whose drones live within our reach, of any team; with keys we see our own only. Raises TransportError."""
+        """Names of all teams with live drones in reach; with keys, our own only. Raises TransportError."""
         session = self._session
         if session is None:
             return set()
@@ -150,12 +150,12 @@ class ZenohListener:
         return {address.team for address in found if address is not None}
 
     def links(self) -> LinksUp:
-        """To whom we are linked."""
+        """Links of the session."""
         return links_up(self._session)
 
     @property
     def dropped(self) -> int:
-        """Samples that came faster than they were taken."""
+        """Number of samples dropped because they came faster than they were taken."""
         return self._dropped + (self._bridge.dropped if self._bridge else 0)
 
     async def close(self) -> None:
@@ -183,7 +183,7 @@ class ZenohListener:
                 self.request(kind, address.drone_id)
 
     def request(self, kind: Kind, drone_id: int) -> None:
-        """Have a drone say again what it says once (`keys.ASKED_KINDS`), if that is listened to. Returns at once."""
+        """Request a message that a drone sends once (`keys.ASKED_KINDS`), if it is subscribed to. Returns at once."""
         key = keys.key(self._network.team, kind, drone_id)
         if self._session is not None and self._bridge is not None and self._hears(key):
             ask(self._session, key, self._bridge)

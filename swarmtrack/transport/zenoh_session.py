@@ -43,9 +43,9 @@ _T = TypeVar("_T")
 async def open_session(
     network: NetworkSettings, listening: bool = True, *, again: bool = False
 ) -> zenoh.Session:
-    """Raises TransportError; also where no router answers a client, which may try again. listening: for others to dial.
-    again: this process had a session before. Zenoh holds the port of its datagrams for half a minute after the end, and
-    listens there once it is free; until then all goes over the other link.
+    """Open a session. Raises TransportError, also where no router answers a client, which may try again. listening:
+    accept diallers. again: this process had a session before. Zenoh keeps the port of its datagrams for half a
+    minute after closing, and listens there once it is free; until then all goes over the other link.
 
     An address that this machine does not have yet (an interface that is down) is listened on as soon as it has.
     """
@@ -89,7 +89,7 @@ def ask_for_announcement(
     anew: bool = False,
     on_answer: Callable[[], object] | None = None,
 ) -> None:
-    """`ask` for a pose. anew: have the drone announce itself again, beside the answer."""
+    """`ask` for a pose. anew: have the drone publish its announcement again, in addition to the answer."""
     key = keys.key(team, Kind.POSE, drone_id)
     ask(session, f"{key}?{keys.ANEW}" if anew else key, answers, on_answer)
 
@@ -97,7 +97,7 @@ def ask_for_announcement(
 def ask(
     session: zenoh.Session, selector: str, answers: Bridge, on_answer: Callable[[], object] | None = None
 ) -> None:
-    """Ask every process that speaks as a drone: a clone must be heard too. Returns at once."""
+    """Query every process with the drone's ID, including a clone. Returns at once."""
     with contextlib.suppress(zenoh.ZError):  # the session is closing
         session.get(
             selector,
@@ -173,5 +173,5 @@ async def bounded(
 
 
 def plain(error: zenoh.ZError) -> str:
-    """Zenoh's reason without the places in its source."""
+    """Zenoh's error message without source locations."""
     return re.sub(r" at /\S+?\.rs:\d+\.?", "", str(error)).strip().rstrip(".")

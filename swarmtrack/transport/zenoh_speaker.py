@@ -1,4 +1,4 @@
-"""Saying something of a drone without being its agent: for what else on board measures."""
+"""Publisher of a drone's messages by another program on board, such as the reader of a sensor."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ log = logging.getLogger(__name__)
 
 
 class ZenohSpeaker:
-    """Puts messages of one kind on keys of its own. Never blocks; what the link does not take is lost and counted."""
+    """Puts messages of one kind on its own keys. Never blocks; what the link does not take is lost and counted."""
 
     def __init__(self, network: NetworkSettings, kind: Kind, drone_id: int, clock: Clock) -> None:
         settings.check(network)
@@ -38,7 +38,7 @@ class ZenohSpeaker:
         self.unsent = 0
 
     async def open(self) -> None:
-        """Raises TransportError where no router answers."""
+        """Open the session. Raises TransportError where no router answers."""
         await self._join()
         following = follow_roster(self._network.credentials, self._clock, self._renew)
         self._following = asyncio.create_task(following, name="roster")
@@ -54,7 +54,7 @@ class ZenohSpeaker:
         await keep_joining(self._join)
 
     async def prepare(self, other: int) -> None:
-        """To be awaited before what is said about another drone. Raises TransportError."""
+        """Declare the key of another drone; to be awaited before `put`. Raises TransportError."""
         session = self._session
         if session is None:
             if self._following is None:
@@ -78,14 +78,14 @@ class ZenohSpeaker:
             self._publishers[other] = publisher
 
     def put(self, other: int, payload: bytes) -> None:
-        """About another drone."""
+        """Publish a message about another drone."""
         try:
             self._publishers[other].put(payload)
         except (KeyError, zenoh.ZError):
             self.unsent += 1
 
     def links(self) -> LinksUp:
-        """To whom we are linked."""
+        """Links of the session."""
         return links_up(self._session)
 
     async def close(self) -> None:

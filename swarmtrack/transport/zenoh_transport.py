@@ -1,8 +1,8 @@
-"""The network of one drone, as Zenoh carries it.
+"""The network of one drone over Zenoh.
 
-An announcement is put once, served by a queryable to whoever asks, and asked for by whoever sees a liveliness token
-without one: a put alone is lost where it overtakes the links, and a question alone where it overtakes the
-queryable's declaration. Tokens converge by themselves, so they drive the rest.
+An announcement is put once, served by a queryable, and queried by every process that sees a liveliness token without
+one: a put alone is lost where it overtakes the links, and a query alone where it overtakes the queryable's
+declaration. Tokens converge by themselves, so they drive the rest.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ log = logging.getLogger(__name__)
 
 
 class Carriage(NamedTuple):
-    """How a kind of message travels; none ever blocks us."""
+    """Quality of service of a message kind; none ever blocks us."""
 
     reliability: zenoh.Reliability
     priority: zenoh.Priority
@@ -64,9 +64,9 @@ CARRIAGE: Final = {
 
 
 class ZenohTransport:
-    """One drone's end of the network. `boot` names this life of the process (`keys.new_boot`).
+    """One drone's end of the network. `boot` identifies this run of the process (`keys.new_boot`).
 
-    sign, verify: of announcements; None to leave it. cameras: how many it has, each with pictures of its own.
+    sign, verify: of announcements; None: unsigned. cameras: number of cameras, each with its own video.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class ZenohTransport:
             raise
 
     async def renew(self, credentials: Credentials) -> None:
-        """Speak and listen by a newer roster: links are closed and made anew, with who is in it."""
+        """Close all links and reopen them with the members of a newer roster."""
         before = self._network.credentials
         assert before is not None, "who had no keys gets none in flight"
         network = replace(self._network, credentials=credentials)

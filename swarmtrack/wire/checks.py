@@ -24,7 +24,7 @@ class DecodeError(SwarmtrackError):
 
 
 def is_finite(value: object) -> bool:
-    """Whether every number in it is finite. The bounds refuse NaN too, but only by the way msgspec happens to compare."""
+    """Whether every number in it is finite. The bounds refuse NaN too, but only because of how msgspec compares."""
     if isinstance(value, float):
         return math.isfinite(value)
     if isinstance(value, msgspec.Struct):
