@@ -1,4 +1,4 @@
-"""Addresses of autopilots: the habits of pymavlink and of MAVSDK are read, one normal form is printed."""
+"""Addresses of autopilots: accepts pymavlink's and MAVSDK's forms, prints one normal form."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ EXAMPLES = (
 
 @dataclass(frozen=True, slots=True)
 class LinkAddress:
-    """Where the autopilot is. host, port: of udpin, udpout, tcp; path: of the others.
+    """Address of an autopilot. host, port: of udpin, udpout, tcp; path: of the others.
 
-    speed: of a recording; 0: as fast as it goes.
+    speed: of a recording; 0: as fast as possible.
     """
 
     scheme: Scheme
@@ -50,7 +50,7 @@ class LinkAddress:
 
     @property
     def reachable_from_outside(self) -> bool:
-        """Whether others than programs on this machine can speak to us there: UDP beyond loopback."""
+        """Whether other machines can send to us at this address: UDP beyond loopback."""
         return self.scheme == "udpin" and not is_loopback(self.host)
 
     def __str__(self) -> str:
@@ -67,7 +67,7 @@ class LinkAddress:
 
 
 def is_loopback(host: str) -> bool:
-    """A name that is none of ours may lead anywhere."""
+    """Whether a host is loopback. An unknown name is not: it may resolve to any host."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -75,7 +75,7 @@ def is_loopback(host: str) -> bool:
 
 
 def parse_address(text: str) -> LinkAddress:
-    """Read an autopilot's address; `SourceError` says what is wrong with one that can never work."""
+    """Parse an autopilot's address. Raises `SourceError` for an impossible one."""
     text = text.strip()
     if text == "none":
         return LinkAddress("none")
@@ -100,7 +100,7 @@ def parse_address(text: str) -> LinkAddress:
 
 
 def is_recording(text: str) -> bool:
-    """Whether an address, however it is written, is of a flight that is over."""
+    """Whether an address, in any form, is of a recorded flight."""
     return any(
         text.startswith(f"{scheme}:") or text.partition("?")[0].endswith(ending)
         for scheme, ending in RECORDING_ENDINGS.items()

@@ -54,7 +54,7 @@ class Envelope:
         self._sign = sign
 
     def add(self, x: float, y: float) -> bool:
-        """Note a point; tell whether it begins a new bucket."""
+        """Add a point; returns whether it begins a new bucket."""
         if self.points:
             x = max(x, self.points[-1][0])  # one stream's stamps may lag a little behind another's
         new = not self.points or math.floor(x / CLOCK_BUCKET_S) > math.floor(
@@ -125,7 +125,7 @@ class ClockMap:
         self.reset()
 
     def reset(self) -> None:
-        """Forget everything: the autopilot has rebooted."""
+        """Drop all state: the autopilot has rebooted."""
         self.offset: float | None = None
         self.sigma = math.inf
         self.skew = self.drift = 0.0
@@ -143,12 +143,12 @@ class ClockMap:
         self._latency = 0.0
 
     def observe(self, stamp: float, arrival: float) -> None:
-        """A message stamped `stamp` by the autopilot has come at `arrival` on our clock."""
+        """Add a message stamped `stamp` by the autopilot that came at `arrival` on our clock."""
         self._bound_above(stamp, arrival)
         self._slew(stamp)
 
     def exchange(self, sent: float, stamp: float, received: float) -> None:
-        """One TIMESYNC: our request left at `sent`, was stamped `stamp`, and its answer came at `received`."""
+        """Add one TIMESYNC: our request left at `sent`, was stamped `stamp`, and its answer came at `received`."""
         exchange = Exchange(stamp, sent - stamp, received - stamp)
         self._bound_above(stamp, received)
         self._past.append(exchange)
@@ -170,7 +170,7 @@ class ClockMap:
 
     @property
     def in_words(self) -> str:
-        """What is wrong with the autopilot's clock; empty where it keeps time."""
+        """Description of a fault of the autopilot's clock; empty where it keeps time."""
         if self.drift:
             percent = 100 * self.skew / (1 + self.skew)
             return f"runs {abs(percent):.1f} % {'slow' if percent > 0 else 'fast'}: a simulator?"

@@ -1,4 +1,4 @@
-"""What is known of the connection and of who is at its other end, and news of it for the log."""
+"""State of the connection and of its other end, and log lines about changes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ OPENING = "opening"
 
 @dataclass(slots=True)
 class Contact:
-    """Facts kept by `MavlinkAutopilot`; all times are ours [s].
+    """State kept by `MavlinkAutopilot`; all times are ours [s].
 
-    expected_system: the vehicle that the user named, None for the first one heard; down: why there is no connection,
-    None while there is one; frames_before: good frames of earlier connections; heard_at: when our autopilot last spoke;
-    others: (system, component) of who else speaks, and what it is; signature_trouble: why signed frames are refused;
-    kind: MAV_AUTOPILOT of the dialect: which firmware ours is, None until it is heard.
+    expected_system: the configured vehicle, None for the first one heard; down: why there is no connection, None while
+    there is one; frames_before: good frames of earlier connections; heard_at: time of our autopilot's last message;
+    others: (system, component) of further senders, and their kind; signature_trouble: why signed frames are rejected;
+    kind: MAV_AUTOPILOT of the dialect: the autopilot's firmware, None until its first heartbeat.
     """
 
     expected_system: int | None
@@ -43,7 +43,9 @@ class Contact:
 
 
 class News:
-    """Logs, but the same news at most every LINK_NEWS_PERIOD_S seconds: a flapping link writes no stream of lines."""
+    """Logger that repeats the same line at most every LINK_NEWS_PERIOD_S seconds, so that a flapping link does not flood the
+    log.
+    """
 
     def __init__(self, now: Callable[[], float]) -> None:
         self._now = now
@@ -60,7 +62,7 @@ class News:
 
 
 def heartbeat(kind: int) -> object:
-    """What tells an autopilot that we are here. kind: MAV_TYPE of the dialect: as what."""
+    """HEARTBEAT of this agent. kind: its MAV_TYPE of the dialect."""
     return common.MAVLink_heartbeat_message(
         type=kind,
         autopilot=common.MAV_AUTOPILOT_INVALID,

@@ -1,8 +1,8 @@
-"""A UDP socket that is emptied at each look: all that came since the last one, each with the time of its arrival.
+"""UDP socket that is emptied at each read: all datagrams since the last one, each with its time of arrival.
 
-An autopilot sends some hundred datagrams per second, several at a time, and whoever is late to look stamps them late.
-So the kernel stamps them (`SO_TIMESTAMPNS`). Its stamps are of the wall clock, which may step: what is read now cannot
-have come before the last look, nor after this one, whatever a stamp says.
+An autopilot sends some hundred datagrams per second, several at a time, and a reader that is late stamps them late. So
+the kernel stamps them (`SO_TIMESTAMPNS`). Its stamps are of the wall clock, which may step; they are bounded by the
+last read and this one.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Datagram(NamedTuple):
 
 
 class DatagramSocket:
-    """Open until `close`; nothing here blocks."""
+    """Open until `close`; no method blocks."""
 
     def __init__(self, opened: socket.socket, clock: Clock) -> None:
         self._socket = opened
@@ -42,8 +42,9 @@ class DatagramSocket:
         self._looked_at = clock.now()
 
     def waiting(self) -> Iterator[Datagram]:
-        """What has come since the last call, in its order, `DATAGRAMS_PER_TURN` at most. Raises `OSError` for what the
-        network says instead: the rest is read by the next call."""
+        """Datagrams since the last call, in order, at most `DATAGRAMS_PER_TURN`. Raises `OSError` for a reported network error;
+        the next call reads the rest.
+        """
         now, utc, since = self._clock.now(), self._clock.utc(), self._looked_at
         for _ in range(DATAGRAMS_PER_TURN):
             try:
@@ -56,8 +57,9 @@ class DatagramSocket:
             yield Datagram(min(max(now - age, since), now), data, sender)
 
     def send(self, data: bytes, receiver: Address | None = None) -> None:
-        """To the other end, or to a receiver where there is none. What finds no room is dropped: all of ours is soon
-        repeated. Raises `OSError`."""
+        """Send to the other end, or to a receiver where there is none. Dropped when there is no room: all our
+        messages are soon repeated. Raises `OSError`.
+        """
         try:
             if receiver is None:
                 self._socket.send(data)
@@ -67,7 +69,7 @@ class DatagramSocket:
             pass
 
     def fileno(self) -> int:
-        """For the event loop, to wake whoever looks."""
+        """Descriptor for the event loop, which wakes the reader."""
         return self._socket.fileno()
 
     def close(self) -> None:
@@ -75,7 +77,9 @@ class DatagramSocket:
 
 
 async def open_socket(host: str, port: int, clock: Clock, *, listens: bool) -> DatagramSocket:
-    """Bound to host:port if it listens, else connected to it. Raises `OSError`, that of the last address tried."""
+    """Open a socket bound to host:port if it listens, else connected to it. Raises `OSError`, that of the last
+    address tried.
+    """
     loop = asyncio.get_running_loop()
     trouble: OSError | None = None
     for family, kind, protocol, _, address in await loop.getaddrinfo(host, port, type=socket.SOCK_DGRAM):

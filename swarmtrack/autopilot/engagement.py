@@ -75,7 +75,8 @@ ENGAGEMENT_TRANSITIONS: dict[tuple[EngagementStage, EngagementEvent], Engagement
 
 
 class PilotEngagement:
-    """Told of heartbeats, of intentions and of time; times are ours [s]. `number` counts engagements.
+    """State of the pilot's engagement from heartbeats, intentions and time; times are ours [s]. `number` counts
+    engagements.
 
     switch: has to be on as well; None: the mode is enough.
     """
@@ -108,7 +109,9 @@ class PilotEngagement:
         return self.stage is EngagementStage.ENGAGED
 
     def take_end(self, now: float = math.inf) -> str:
-        """Why an engagement has ended since the last call, in words; empty if none has, or before that is known."""
+        """Reason why an engagement has ended since the last call, in words; empty if none has, or before the reason
+        is certain.
+        """
         if now < self._settles_at:
             return ""
         ended, self._ended = self._ended, ""
@@ -152,7 +155,7 @@ class PilotEngagement:
             self._failsafe, self._failsafe_at = plain(text)[:LONGEST_FAILSAFE_TEXT], t
 
     def tick(self, now: float) -> None:
-        """Time passes."""
+        """Let time pass."""
         self._look_for_gap(now)
         self._ticked_at = now
         if now - self._heard_at > ENGAGEMENT_SILENT_S:
@@ -161,7 +164,7 @@ class PilotEngagement:
             self._judge(now)
 
     def fail(self, why: str) -> None:
-        """What is needed to fly is missing for too long: over, until the pilot engages anew."""
+        """End the engagement for a lasting fault, until the pilot engages again."""
         self._fire(EngagementEvent.FAILED, why)
         self.wants_stream = False
 
@@ -239,14 +242,14 @@ class PilotEngagement:
 
 
 def is_guided(custom_mode: int, kind: int | None) -> bool:
-    """Whether that is the mode in which a rotorcraft's firmware listens to setpoints."""
+    """Whether it is the mode in which a rotorcraft's firmware accepts set points."""
     if kind == common.MAV_AUTOPILOT_ARDUPILOTMEGA:
         return custom_mode == ARDUCOPTER_GUIDED
     return kind == common.MAV_AUTOPILOT_PX4 and custom_mode >> 16 & 0xFF == PX4_OFFBOARD
 
 
 def mode_name(custom_mode: int, kind: int | None) -> str:
-    """As pilots know it."""
+    """The mode's name for pilots."""
     if kind == common.MAV_AUTOPILOT_PX4:
         main, sub = custom_mode >> 16 & 0xFF, custom_mode >> 24
         named = PX4_AUTO_MODES.get(sub) if PX4_MODES.get(main) == "AUTO" else PX4_MODES.get(main)

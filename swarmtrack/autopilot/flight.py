@@ -24,7 +24,7 @@ AIRBORNE_LANDED_STATES = (
 
 
 class FlightWatch:
-    """Told of both messages, it tells since when the drone flies."""
+    """Time since which the drone is in the air, from both messages."""
 
     def __init__(self) -> None:
         self._landed_state_at = -math.inf
@@ -40,7 +40,7 @@ class FlightWatch:
         return FlightState(t, self._since)
 
     def on_landed_state(self, t: float, m: Any) -> None:
-        """EXTENDED_SYS_STATE has come at t [s]. An autopilot that does not know says so."""
+        """EXTENDED_SYS_STATE has come at t [s]. Its landed state may be undefined."""
         if m.landed_state != common.MAV_LANDED_STATE_UNDEFINED:
             self._landed_state_at = t
             self._fly(t, is_airborne=m.landed_state in AIRBORNE_LANDED_STATES)

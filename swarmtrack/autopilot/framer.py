@@ -1,7 +1,7 @@
-"""Finds MAVLink frames, version 1 and 2, in whatever bytes a link delivers.
+"""Finds MAVLink frames, version 1 and 2, in the bytes of a link.
 
-pymavlink's own parser throws away the whole length that a false header claims, and with it the good frames inside:
-one stray 0xFD before each frame costs nine frames of ten. This framer believes a header only when the CRC behind it
+pymavlink's own parser throws away the whole length that a false header claims, and with it the good frames inside: one
+stray 0xFD in front of each frame costs nine frames of ten. This framer accepts a header only when the CRC behind it
 agrees, and otherwise goes on at the next byte, so garbage between frames never costs one of them.
 """
 
@@ -38,7 +38,7 @@ except ImportError:
 
 
 class MavlinkFrame(NamedTuple):
-    """One frame whose CRC was right; `data` is all of it, from magic to signature."""
+    """One frame with a correct CRC; `data` is all of it, from magic to signature."""
 
     id: int
     system: int
@@ -49,11 +49,11 @@ class MavlinkFrame(NamedTuple):
 
 
 class Framer:
-    """Cuts a stream or datagrams into frames and counts the rest.
+    """Splits a stream or datagrams into frames and counts the rest.
 
-    good: frames; bad_bytes: bytes that belong to no frame; crc_failures: headers of known messages whose CRC was
-    wrong; unknown: frames of messages that the dialect lacks. Nobody can check those, so they are never delivered;
-    they are told from garbage by ending exactly where the next frame begins.
+    good: frames; bad_bytes: bytes outside of all frames; crc_failures: headers of known messages with a wrong CRC;
+    unknown: frames of messages that the dialect lacks. These cannot be checked, so they are never delivered; they are
+    distinguished from garbage by ending exactly where the next frame begins.
     """
 
     def __init__(self) -> None:
@@ -79,7 +79,7 @@ class Framer:
         return self._scan(final=False)
 
     def flush(self) -> list[MavlinkFrame]:
-        """The stream fell silent: nothing that waits is a frame, but one may lie inside it."""
+        """The stream fell silent: the pending bytes are not a frame, but may contain one."""
         return self._scan(final=True)
 
     def datagram(self, data: bytes) -> list[MavlinkFrame]:
@@ -89,7 +89,7 @@ class Framer:
         return self._scan(final=True)
 
     def reset(self) -> None:
-        """Forget what waits (a new connection): it counts as bad."""
+        """Drop pending bytes (a new connection): they count as bad."""
         self._settle(len(self._buffer), confirmed=False)
         self._cut(len(self._buffer))
 

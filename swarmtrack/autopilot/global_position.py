@@ -35,10 +35,10 @@ UNKNOWN_SATELLITES = 255  # satellites
 
 
 class GlobalPosition:
-    """Told of GPS_RAW_INT and GLOBAL_POSITION_INT.
+    """Position in the team frame from GPS_RAW_INT and GLOBAL_POSITION_INT.
 
-    origin: of the team frame, height above mean sea level; stated_sigma: m per axis, instead of what the receiver says.
-    `sigma` [m] is that of north and of east, `vertical_sigma` [m] of down.
+    origin: of the team frame, height above mean sea level; stated_sigma: m per axis, overrides the receiver's. `sigma`
+    [m] is that of north and of east, `vertical_sigma` [m] of down.
     """
 
     def __init__(self, origin: Geodetic, stated_sigma: float | None = None) -> None:
@@ -77,7 +77,9 @@ class GlobalPosition:
             self.vertical_sigma = self._stated_sigma or vertical or horizontal or GPS_USUAL_SIGMA_M
 
     def place(self, t: float, m: Any) -> tuple[Array, Array] | None:
-        """Position (3,) m and velocity (3,) m/s, north, east, down, by GLOBAL_POSITION_INT that came at t; or None."""
+        """Position (3,) m and velocity (3,) m/s, north, east, down, from the GLOBAL_POSITION_INT that came at t; or
+        None.
+        """
         place = Geodetic.from_degrees(1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
         position = to_ned(place, self._origin)
         away = float(np.linalg.norm(position))

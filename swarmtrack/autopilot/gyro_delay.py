@@ -1,11 +1,11 @@
-"""How late the gyro of an autopilot is: told by its kind, until the autopilot itself has been asked.
+"""Delay of an autopilot's gyro: assumed by its kind, until the autopilot's own parameters are known.
 
-ArduPilot sends its gyro after INS_GYRO_FILTER, a two-pole Butterworth low-pass. Motion far below the corner f passes it
-late by √2/(2πf), 11 ms at 20 Hz. PX4 sends the mean over one interval of integration, stamped at its end, which is late
-by half of 1/IMU_INTEG_RATE; the rates next to its attitude have passed IMU_GYRO_CUTOFF, another two poles. An attitude
-is the estimator's, which integrates every sample: it is not late, and is left alone.
+ArduPilot sends its gyro after INS_GYRO_FILTER, a two-pole Butterworth low-pass. It delays motion far below the corner
+f by √2/(2πf), 11 ms at 20 Hz. PX4 sends the mean over one interval of integration, stamped at its end, which delays by
+half of 1/IMU_INTEG_RATE; the rates next to its attitude have passed IMU_GYRO_CUTOFF, another two poles. An attitude is
+the estimator's, which integrates every sample: it has no delay, and is left alone.
 
-A parameter is asked for by PARAM_REQUEST_READ, once for each start of the autopilot. Nothing is ever written.
+A parameter is requested by PARAM_REQUEST_READ, once for each start of the autopilot. Nothing is ever written.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ log = logging.getLogger(__package__)
 
 
 class GyroDelay(NamedTuple):
-    """A gyro says `seconds` later what it measured; sigma: s; cause: how that is known, for people."""
+    """Delay of a gyro: `seconds`, with sigma [s]; cause: its source, for people."""
 
     seconds: float
     sigma: float
@@ -57,10 +57,9 @@ def mean_delay(rate_hz: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class DelayParameter:
-    """An autopilot's parameter that says how late its gyro is.
+    """An autopilot's parameter that sets its gyro's delay.
 
-    delay: s, of the value in Hz; usual_hz: where nobody has changed it; usual_sigma: s by which the delays of those who
-    have changed it differ.
+    delay: s, of the value in Hz; usual_hz: the default; usual_sigma: spread of the delays [s] over customised values.
     """
 
     name: str
@@ -92,9 +91,10 @@ def _names_of(kind: int) -> tuple[str, ...]:
 
 
 class GyroDelays:
-    """Asks one autopilot for what delays its gyro, and says how late it is.
+    """Asks one autopilot for its gyro's delay, and logs it.
 
-    told_s: by the user; then nothing is asked. asks: False where nobody would hear it. name: of the link, for the log.
+    told_s: configured by the user; then nothing is requested. asks: False on a link that cannot send. name: of the
+    link, for the log.
     """
 
     def __init__(self, told_s: float | None, *, asks: bool, name: str) -> None:
@@ -110,29 +110,31 @@ class GyroDelays:
         self._of_imu = self._of_rates = self._judge(None)
 
     def meet(self, autopilot: int) -> None:
-        """The autopilot's first heartbeat says of which MAV_AUTOPILOT it is."""
+        """The autopilot's first heartbeat has come, with its MAV_AUTOPILOT."""
         self._reader.meet(autopilot)
         self._settle()
 
     def restart(self) -> None:
-        """The autopilot has started again, perhaps with another filter: ask; meanwhile what it told before holds."""
+        """The autopilot has restarted, perhaps with another filter: request again; meanwhile the earlier value
+        holds.
+        """
         self._reader.restart()
 
     def tick(self, now: float, system: int) -> list[Any]:
-        """The questions to send now."""
+        """Requests to send now."""
         return self._reader.tick(now, system)
 
     def on_value(self, t: float, m: Any) -> None:
-        """PARAM_VALUE has come, whoever asked for it."""
+        """PARAM_VALUE has come, whichever process asked for it."""
         self._reader.on_value(t, m)
         self._settle()
 
     def of(self, message_id: int) -> GyroDelay:
-        """How late the angular velocity in this message is."""
+        """Delay of the angular velocity in this message."""
         return self._of_rates if message_id == ATTITUDE_QUATERNION else self._of_imu
 
     def log_delay(self, message_id: int) -> None:
-        """Log how late the gyro is taken to be, once and where it has changed; not while an answer is due."""
+        """Log the gyro's assumed delay, once and on change; not while an answer is due."""
         delay = self.of(message_id)
         if self._reader.waits or delay == self._said:
             return

@@ -1,4 +1,4 @@
-"""Where the link to an autopilot stands, and why it is not streaming, in one sentence.
+"""State of the link to an autopilot, and in one sentence why it is not streaming.
 
     searching ── heartbeat of an autopilot ──▶ requesting ── first IMU sample ──▶ streaming ◀──▶ stale (0.5 s)
         ▲                                          ▲                                   │
@@ -26,7 +26,7 @@ from swarmtrack.messages import LinkStatus
 
 
 class State(enum.StrEnum):
-    """Where the link to the autopilot stands."""
+    """State of the link to an autopilot."""
 
     SEARCHING = "searching"
     REQUESTING = "requesting"
@@ -38,7 +38,7 @@ class State(enum.StrEnum):
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class LinkState:
-    """Looks at all parts of a `MavlinkAutopilot` and changes none of them."""
+    """Reads all parts of a `MavlinkAutopilot` and changes none of them."""
 
     link: Link
     contact: Contact
@@ -53,7 +53,7 @@ class LinkState:
     """The name of the present one, empty while streaming."""
 
     def update(self, now: float) -> None:
-        """Set the state; log one line where it, or the reason for it, has changed."""
+        """Set the state; log one line where it, or its reason, has changed."""
         self.state = self._state_at(now)
         contact, telemetry, address = self.contact, self.telemetry, self.link.address
         if self.state is State.STALE or contact.down == OPENING:
@@ -143,7 +143,7 @@ class LinkState:
         return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}"
 
     def trouble(self, now: float) -> str:
-        """What is missing, in a few words for a pilot; a hiccup is nothing."""
+        """What is missing, in a few words for a pilot; empty for a short gap."""
         if self.state in (State.STREAMING, State.STALE, State.ENDED):
             return "no position" if self.telemetry.lack(now) else ""
         return "no IMU" if self.state is State.REQUESTING else "no autopilot"

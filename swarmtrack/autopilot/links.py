@@ -1,7 +1,7 @@
-"""The links an autopilot may be at the other end of: UDP, TCP, a serial port, a recording, or nothing.
+"""Links to an autopilot: UDP, TCP, a serial port, a recording, or none.
 
-A link carries one connection: `run` returns where a recording ends, and raises `LinkDown` with a sentence where the
-other end is away. Whoever runs it decides when to try again. Every link stamps arrival before it does anything else.
+A link carries one connection: `run` returns at the end of a recording, and raises `LinkDown` with a sentence where the
+other end is away. The caller decides when to try again. Every link stamps arrival before it does anything else.
 """
 
 from __future__ import annotations
@@ -42,18 +42,18 @@ log = logging.getLogger(__name__)
 
 
 class LinkDown(Exception):
-    """The connection could not be made or has ended; the text says why. It is tried again."""
+    """The connection failed or ended; the text names the reason. It is tried again."""
 
 
 class Wire(NamedTuple):
-    """What another process needs to write to the same end. peer: of a socket that hears several, None of others."""
+    """What another process needs to write to the same end. peer: of an unconnected socket, else None."""
 
     descriptor: int
     peer: Address | None = None
 
 
 class Receiver(Protocol):
-    """Who is told what a link carries; called on the event loop."""
+    """Receiver of a link's bytes; called on the event loop."""
 
     def opened(self) -> None:
         """The port is open, the connection stands."""
@@ -65,12 +65,11 @@ class Receiver(Protocol):
 
 
 class Link(Protocol):
-    """One way to an autopilot.
+    """One link to an autopilot.
 
-    datagrams: `received` gets whole ones; recording: time comes from the file, sending goes nowhere;
-    bytes_per_second: what the line carries, None where it hardly matters; remark: the last trouble that did not end
-    the connection, or empty; foreign: what came from elsewhere than the autopilot's address and was not read, since
-    the start.
+    datagrams: `received` gets whole ones; recording: time comes from the file, sending goes nowhere; bytes_per_second:
+    capacity of the line, None where it hardly matters; remark: the last fault that did not end the connection, or
+    empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the start.
     """
 
     address: LinkAddress
@@ -87,7 +86,7 @@ class Link(Protocol):
         ...
 
     def wire(self) -> Wire | None:
-        """Where `send` writes to just now; None where it goes nowhere."""
+        """The wire that `send` now writes to; None where there is none."""
         ...
 
     def drop(self, reason: str) -> None:
@@ -129,17 +128,17 @@ class NoLink:
         await asyncio.Event().wait()
 
     def send(self, data: bytes) -> None:
-        """Nobody is there."""
+        """Nothing is sent."""
 
     def wire(self) -> None:
-        """Nobody is there."""
+        """There is no wire."""
 
     def drop(self, reason: str) -> None:
         """Nothing to drop."""
 
 
 class LiveLink:
-    """What links to something live have in common; one that is different says so."""
+    """Common defaults of links to a live autopilot."""
 
     datagrams = False
     recording = False
@@ -153,11 +152,11 @@ class LiveLink:
 
 
 class UdpLink(LiveLink):
-    """`udpin` listens, and answers the autopilot where it speaks from; `udpout` speaks first.
+    """`udpin` listens, and answers to the autopilot's address; `udpout` sends first.
 
-    The peer is learned from a valid frame of our autopilot only: otherwise whoever sends one byte captures our answers.
-    It is kept until it has been silent for UDP_PEER_SILENT_S: what others send meanwhile is counted and not read, or
-    anybody in reach could tell us where we are.
+    The peer is learned from a valid frame of our autopilot only: otherwise any sender of one byte captures our
+    answers. It is kept until it has been silent for UDP_PEER_SILENT_S: what others send meanwhile is counted and not read,
+    or anyone in reach could feed us a false position.
     """
 
     datagrams = True
@@ -240,11 +239,11 @@ class UdpLink(LiveLink):
         return Wire(self._socket.fileno(), self._peer if self._listens else None)
 
     def drop(self, reason: str) -> None:
-        """Silence says nothing about a UDP socket."""
+        """Does nothing: silence means nothing on a UDP socket."""
 
 
 class TcpLink(LiveLink, asyncio.Protocol):
-    """Calls a TCP server: a simulator or a router."""
+    """Client of a TCP server: a simulator or a router."""
 
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
         super().__init__(address, clock)
@@ -397,7 +396,7 @@ class SerialLink(LiveLink):
 
 
 class RecordingLink(ABC):
-    """What an autopilot said in a flight that is over.
+    """Autopilot messages of a recorded flight.
 
     The first record is at clock.now() of the start and the others at the recording's own distances, so integrals over
     time stay right at any speed; `speed` only says how early they are delivered. 0: as fast as it goes.
@@ -435,11 +434,11 @@ class RecordingLink(ABC):
             raise SourceError(f"autopilot link {self.address}: holds no record, is it a telemetry log?")
 
     def send(self, data: bytes) -> None:
-        """A recording cannot be spoken to."""
+        """Nothing is sent to a recording."""
         return
 
     def wire(self) -> None:
-        """Nor can anybody else."""
+        """There is no wire."""
         return
 
     def drop(self, reason: str) -> None:
@@ -464,7 +463,7 @@ class TlogLink(RecordingLink):
 
 
 class UlogLink(RecordingLink):
-    """PX4's own log, as what it would have sent meanwhile."""
+    """PX4's own log, as the telemetry it would have sent meanwhile."""
 
     async def run(self, receiver: Receiver) -> None:
         flight = read_ulog(Path(self.address.path))
@@ -527,7 +526,7 @@ def holders_of(target: str) -> list[Holder]:
 
 
 def holder_of_udp_port(port: int) -> str:
-    """Who is bound to a local UDP port, for people."""
+    """Process that is bound to a local UDP port, for people."""
     for table in ("/proc/net/udp", "/proc/net/udp6"):
         try:
             lines = Path(table).read_text().splitlines()[1:]

@@ -1,10 +1,10 @@
-"""The autopilot at the other end of a MAVLink link: found, asked for what we need, and listened to.
+"""The autopilot at the other end of a MAVLink link: found, configured to send what we need, and read.
 
-The autopilot is component 1 of the first system whose HEARTBEAT names an autopilot, or of the system that the user
-named. It stays that one: a neighbour's autopilot on the same radio must not take its place while ours is silent.
+The autopilot is component 1 of the first system whose HEARTBEAT names an autopilot, or of the configured system. It
+stays that one: a neighbour's autopilot on the same radio must not take its place while ours is silent.
 
-What it says becomes samples and poses in telemetry.py; which streams it is asked for is decided in streams.py; what
-state the link is in, and why nothing comes, is said in link_state.py.
+telemetry.py turns its messages into samples and poses; streams.py decides which streams to request; link_state.py
+reports the link's state and why nothing comes.
 """
 
 from __future__ import annotations
@@ -79,8 +79,9 @@ def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
 
 
 class WayToAutopilot(NamedTuple):
-    """wire: an open link; opened_at [s]: since when, so that another connection is another way; system: the vehicle's;
-    component: ours."""
+    """wire: an open link; opened_at [s]: since when, so that another connection is another one; system: the
+    vehicle's; component: ours.
+    """
 
     wire: Wire
     opened_at: float
@@ -180,7 +181,7 @@ class MavlinkAutopilot:
         return readers
 
     def read_parameters(self, reader: ParameterReader) -> None:
-        """Before `run`: these are asked for as well."""
+        """Request further parameters; to be called before `run`."""
         self._parameters = reader
         before = self._readers[common.MAVLINK_MSG_ID_PARAM_VALUE]
 
@@ -232,7 +233,7 @@ class MavlinkAutopilot:
             await asyncio.sleep(LINK_TICK_S)
 
     def tick(self, now: float) -> None:
-        """What time alone brings about: silence, heartbeats, requests that were not answered."""
+        """Handle the passage of time: silence, heartbeats, unanswered requests."""
         contact = self._contact
         if self._framer.pending and now - contact.received_at > FRAME_FLUSH_AFTER_S:
             self._take(now, self._framer.flush())
@@ -272,22 +273,22 @@ class MavlinkAutopilot:
 
     @property
     def trouble(self) -> str:
-        """What of the autopilot's is missing, in a few words for a pilot; empty while gyro and position come."""
+        """What the autopilot does not deliver, in a few words for a pilot; empty while gyro and position come."""
         return self._link_state.trouble(self._now())
 
     @property
     def system(self) -> int:
-        """The vehicle that is listened to; 0 before one is heard."""
+        """System ID of the autopilot's vehicle; 0 before its first heartbeat."""
         return self._contact.system or 0
 
     @property
     def clock_known(self) -> bool:
-        """Whether its times can be mapped to ours."""
+        """Whether its times can be mapped to our clock."""
         return self._telemetry.clock_map.offset is not None
 
     @property
     def place(self) -> tuple[float, tuple[float, float, float]] | None:
-        """When its newest position came, and the position itself: NED [m] in the axes of its local frame."""
+        """Arrival of its newest position, and the position itself: NED [m] in the axes of its local frame."""
         return self._telemetry.place
 
     @property
@@ -296,16 +297,16 @@ class MavlinkAutopilot:
         return self._codec.key
 
     def way(self) -> WayToAutopilot | None:
-        """How a frame of another process of ours would reach it; None where `send_message` would be deaf."""
+        """The path by which another process can send to it; None where `send_message` cannot."""
         wire = None if self._is_deaf() else self._link.wire()
         if wire is None:
             return None
         return WayToAutopilot(wire, self._contact.opened_at, self._codec.system, self._codec.component)
 
     def send_message(self, message: Any) -> bool:
-        """Say a message of the dialect to the autopilot, and by way of it to ground stations. Never blocks.
+        """Send a message of the dialect to the autopilot, and through it to ground stations. Never blocks.
 
-        False, and nothing is sent, where nobody would hear it: into a recording, or while the autopilot is silent.
+        Returns False, and sends nothing, into a recording or while the autopilot is silent.
         """
         if self._is_deaf():
             return False
@@ -320,7 +321,7 @@ class MavlinkAutopilot:
     # ── Receiver: called by the link ─────────────────────────────────────────────────────────────────────────────
 
     def opened(self) -> None:
-        """The link stands: everything is asked for anew, and bytes of the last connection mean nothing any more."""
+        """The link is up: everything is requested again, and pending bytes of the last connection are dropped."""
         contact = self._contact
         contact.down = None
         contact.opened_at = self._now()

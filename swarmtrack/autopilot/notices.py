@@ -1,4 +1,4 @@
-"""What we say to the ground station, by way of the autopilot, as messages of the dialect."""
+"""Messages to the ground station, through the autopilot, in the dialect."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MOST_CM_S = 32767
 
 
 class Severity(enum.IntEnum):
-    """Of a STATUSTEXT. Ground stations show all, and speak what is a warning or worse."""
+    """Severity of a STATUSTEXT. Ground stations show all, and speak warnings and worse."""
 
     ERROR = common.MAV_SEVERITY_ERROR
     WARNING = common.MAV_SEVERITY_WARNING
@@ -64,9 +64,10 @@ def named_value(now: float, name: str, value: float) -> Any:
 def adsb_vehicle(
     callsign: str, place: Geodetic, age: float, address: int, velocity: Array | None = None
 ) -> Any:
-    """ADSB_VEHICLE: place with its height above mean sea level; age [s] of it; address: 24 bits, the same each time.
+    """ADSB_VEHICLE: position with its height above mean sea level; age [s] of it; address: 24 bits, constant per
+    vehicle.
 
-    velocity (3,) m/s north, east, down over the ground; None: neither it nor a course is told, and the flags say so.
+    velocity (3,) m/s north, east, down over the ground; None: sent without velocity and course, and flagged so.
     """
     north, east, down = (0.0, 0.0, 0.0) if velocity is None else velocity.tolist()
     moving = common.ADSB_FLAGS_VALID_HEADING | common.ADSB_FLAGS_VALID_VELOCITY
@@ -92,8 +93,9 @@ def adsb_vehicle(
 
 def image_status(corners: Array | None, device: int = 0) -> Any:
     """CAMERA_TRACKING_IMAGE_STATUS: a box as its top left and bottom right corner, (2, 2) as shares of width and
-    height; None: nothing is tracked. device: which of several cameras that are no MAVLink components, 1 … MOST_DEVICES;
-    0: there is one."""
+    height; None: nothing is tracked. device: number of a camera that is not a MAVLink component, 1 …
+    MOST_DEVICES; 0: the only one.
+    """
     if corners is None:
         return common.MAVLink_camera_tracking_image_status_message(
             common.CAMERA_TRACKING_STATUS_FLAGS_IDLE,

@@ -1,7 +1,7 @@
 """Parameters of an autopilot, read by name (PARAM_REQUEST_READ). Nothing is ever written.
 
-A parameter that does not exist is passed over in silence by most firmwares, and PARAM_ERROR of newer ones is not read.
-So each is asked for a few times, and then counts as not told.
+Most firmwares do not answer for a parameter that does not exist, and PARAM_ERROR of newer ones is not read. So each is
+requested a few times, and then counts as unknown.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ INTEGERS = {common.MAV_PARAM_TYPE_INT32: "<i", common.MAV_PARAM_TYPE_UINT32: "<I
 
 
 class ParameterReader:
-    """Asks one autopilot; `values`: by name, what it told. names_of: what is of interest of which MAV_AUTOPILOT; asks:
-    False: it is only listened to; every_s, attempts: how often it is asked for what it has not told."""
+    """Reads parameters of one autopilot; `values`: by name. names_of: names per MAV_AUTOPILOT; asks: False: only
+    listen; every_s, attempts: interval and number of requests for a missing one.
+    """
 
     def __init__(
         self,
@@ -45,21 +46,21 @@ class ParameterReader:
         return bool(self._attempts)
 
     async def done(self) -> None:
-        """Until everything has been told, or asked for often enough."""
+        """Wait until every parameter is known, or was requested often enough."""
         await self._done.wait()
 
     def meet(self, kind: int) -> None:
-        """The first heartbeat says of which MAV_AUTOPILOT it is."""
+        """The first heartbeat has come, with its MAV_AUTOPILOT."""
         self.kind = kind
         self.restart()
 
     def restart(self) -> None:
-        """The autopilot has started, perhaps with other values: ask; meanwhile what it told before holds."""
+        """The autopilot has restarted, perhaps with other values: request again; meanwhile the earlier ones hold."""
         if self.kind is not None and self._asks:
             self._wait_for(dict.fromkeys(self._names_of(self.kind), 0))
 
     def tick(self, now: float, system: int) -> list[Any]:
-        """The questions to send now."""
+        """Requests to send now."""
         if not self._attempts or now < self._next:
             return []
         self._next = now + self._every_s
@@ -75,7 +76,7 @@ class ParameterReader:
         ]
 
     def on_value(self, t: float, m: Any) -> None:
-        """PARAM_VALUE, whoever asked for it. What is no number is not told."""
+        """PARAM_VALUE has come, whichever process asked for it. NaN is ignored."""
         if self.kind is None or m.param_id not in self._names_of(self.kind):
             return
         value = float(m.param_value)

@@ -1,7 +1,7 @@
 """A switch of the pilot's transmitter: a channel of the radio control, as the autopilot reports it by RC_CHANNELS.
 
-It is thrown when the channel rises above a threshold. Where the switch stands when it is first heard of, or heard of
-again, says nothing of when it was moved there.
+It is thrown when the channel rises above a threshold. Its position in the first report, or in the first one after a
+gap, does not show when it was moved there.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ RC_CHANNELS: int = common.MAVLINK_MSG_ID_RC_CHANNELS
 
 
 class PilotSwitch:
-    """channel: from 1 on; above_us: it is on above this [µs]. Told of RC_CHANNELS."""
+    """State of the switch from RC_CHANNELS. channel: from 1 on; above_us: it is on above this [µs]."""
 
     def __init__(self, channel: int, above_us: float) -> None:
         self.channel = channel
@@ -42,14 +42,14 @@ class PilotSwitch:
         return self._on and before is False
 
     def is_heard(self, now: float) -> bool:
-        """Whether anybody knows where it stands."""
+        """Whether its position is known."""
         return now - self._heard_at < CHANNEL_FORGOTTEN_AFTER_S
 
     def is_on(self, now: float) -> bool:
         return self.is_heard(now) and bool(self._on)
 
     def in_words(self, now: float) -> str:
-        """Where it stands."""
+        """Its position, in words."""
         if not self.is_heard(now):
             return f"no switch: channel {self.channel} is not reported"
         return f"switch {'on' if self._on else 'off'}"

@@ -1,4 +1,4 @@
-"""Messages to bytes and back, signed where the user gave a key (MAVLink 2 message signing).
+"""Messages to bytes and back, signed where a key is configured (MAVLink 2 message signing).
 
 pymavlink's check stores a frame's time stamp before it compares the hash, so one forged frame from the far future makes
 it refuse every honest one for ever. Here the hash comes first. We never send SETUP_SIGNING: it would change all links
@@ -48,7 +48,7 @@ def read_key(path: Path) -> bytes:
 
 
 class Codec:
-    """Encodes what we say as (system, component), decodes frames; signs and verifies where a key is given.
+    """Encodes messages as (system, component), decodes frames; signs and verifies where a key is given.
 
     signed_good, signed_bad (wrong hash), signed_old (replayed, or from the past), unsigned: frames seen with a key.
     """

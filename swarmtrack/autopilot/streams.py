@@ -1,4 +1,4 @@
-"""Which messages we ask the autopilot for, how often, and whether they come.
+"""Streams requested from the autopilot: messages, rates, and whether they arrive.
 
 ArduPilot sends nothing but heartbeats until asked; PX4 sends its own choice. So each stream is asked for by
 SET_MESSAGE_INTERVAL, one command at a time because COMMAND_ACK does not say which one it answers, and then watched:
@@ -111,7 +111,7 @@ IMU_MESSAGES = (
 
 
 class Answer(enum.Enum):
-    """Where a stream's request stands."""
+    """State of a stream's request."""
 
     TO_ASK = enum.auto()
     ASKED = enum.auto()
@@ -121,9 +121,9 @@ class Answer(enum.Enum):
 
 
 class MessageStream:
-    """One message we want: `asked_hz` by the user, `target_hz` after denials, `rate_hz` got.
+    """One requested message: `asked_hz` by the user, `target_hz` after denials, `rate_hz` measured.
 
-    factor: times the target that is asked for; came: enough of it did, since it was granted.
+    factor: times the target that is requested; came: enough of it did, since it was granted.
     """
 
     def __init__(self, message_id: int, asked_hz: float) -> None:
@@ -149,12 +149,12 @@ class MessageStream:
 
     @property
     def optional(self) -> bool:
-        """Whether nothing is amiss where it does not come."""
+        """Whether its absence is not a fault."""
         return self.id in NOT_MISSED
 
 
 class StreamRequests:
-    """Asks, watches and asks again. `tick` and `acknowledged` return the messages to send now.
+    """Requests streams, watches them and requests again. `tick` and `acknowledged` return the messages to send now.
 
     line: bytes per second that the link carries, None where it hardly matters; signed: all frames are.
     """
@@ -177,7 +177,7 @@ class StreamRequests:
         self.reset()
 
     def reset(self) -> None:
-        """Everything must be asked for again: the connection is new or the autopilot has rebooted."""
+        """Request everything again: the connection is new or the autopilot has rebooted."""
         self._rank = 0
         self._busy: MessageStream | None = None
         self._sent_at = 0.0
@@ -188,7 +188,7 @@ class StreamRequests:
 
     @property
     def imu(self) -> ImuMessage:
-        """The message asked for as the source of angular velocity."""
+        """The message requested as the source of angular velocity."""
         return IMU_MESSAGES[self._rank]
 
     @property
@@ -209,14 +209,14 @@ class StreamRequests:
 
     @property
     def bytes_per_second(self) -> float:
-        """What the wanted streams put on the line, all of them as they are asked for."""
+        """Load of all requested streams on the line."""
         overhead = HEADER_V2 + CRC_LENGTH + (SIGNATURE_LENGTH if self._signed else 0)
         coming = (s for s in self.streams.values() if s.came or not s.optional)
         return sum((PAYLOAD_SIZE[s.id] + overhead) * s.request_hz for s in coming)
 
     @property
     def line_share(self) -> float:
-        """What the wanted streams take of the line; 0 where it hardly matters."""
+        """Share of the line that the requested streams take; 0 where it hardly matters."""
         return 0.0 if self._line is None else self.bytes_per_second / self._line
 
     def arrived(self, message_id: int) -> None:
@@ -225,7 +225,7 @@ class StreamRequests:
             stream.count += 1
 
     def tick(self, now: float, system: int) -> list[Any]:
-        """Measure, and ask for what is missing."""
+        """Measure, and request what is missing."""
         self.measure(now)
         if self._busy is not None and now - self._sent_at > COMMAND_ACK_TIMEOUT_S:
             if self._busy.attempts >= COMMAND_ATTEMPTS:
@@ -238,7 +238,7 @@ class StreamRequests:
         return self._ask(now, system)
 
     def measure(self, now: float) -> None:
-        """Once per window: note the rates, and mark what came too slowly to be asked for again."""
+        """Once per window: note the rates, and mark slow streams to be requested again."""
         if self._window_start is None:
             self._window_start = now
         elapsed = now - self._window_start
@@ -381,7 +381,7 @@ def _data_stream(stream: MessageStream, system: int) -> Any:
 
 
 class StampStep(enum.Enum):
-    """What a stamp means after those before it."""
+    """Class of a stamp relative to those before it."""
 
     NEXT = enum.auto()
     REPEATED = enum.auto()  # the same again, or a little back: drop it
@@ -429,13 +429,13 @@ class Cadence:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the usual interval and the last stamp; the counters stay."""
+        """Drop the usual interval and the last stamp; the counters stay."""
         self.newest: float | None = None
         self.period = 0.0
         self.learn_again()
 
     def learn_again(self) -> None:
-        """The rate may be another from here on."""
+        """The rate may change from here on."""
         self._seen = 0
         self._first: list[float] = []
         self._gaps_in_a_row = 0
@@ -446,7 +446,7 @@ class Cadence:
         self._run = self._beat = 0
 
     def observe(self, stamp: float) -> StampStep:
-        """Judge the next stamp [s]."""
+        """Classify the next stamp [s]."""
         if self.newest is None:
             self.newest = stamp
             return StampStep.NEXT

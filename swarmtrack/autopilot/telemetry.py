@@ -1,4 +1,4 @@
-"""What an autopilot says of its flight, made into gyro samples and ego poses on our clock."""
+"""An autopilot's messages as gyro samples and ego poses on our clock."""
 
 from __future__ import annotations
 
@@ -55,10 +55,11 @@ RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
 
 
 class Telemetry:
-    """Told of our autopilot's messages, tells the listener. `readers`: by message id, what takes (arrival, message).
+    """Turns our autopilot's messages into events for the listener. `readers`: by message id, handlers of (arrival,
+    message).
 
-    gps: makes positions in the team frame; None: they are the autopilot's local ones; send: says a message to the
-    autopilot; gyro_delays: how late its gyro is; name: of the link, for the log.
+    gps: computes positions in the team frame; None: they are the autopilot's local ones; send: sends a message to the
+    autopilot; gyro_delays: delay of its gyro; name: of the link, for the log.
     """
 
     def __init__(
@@ -121,12 +122,12 @@ class Telemetry:
 
     @property
     def gyro_delay(self) -> GyroDelay:
-        """How late the samples would be, were it not taken off."""
+        """Delay of the samples that is compensated."""
         return self._gyro_delays.of(self.imu_source.id)
 
     @property
     def place(self) -> tuple[float, tuple[float, float, float]] | None:
-        """When the newest position came, and the position itself, NED [m], as the autopilot or its GPS has it."""
+        """Arrival of the newest position, and the position itself, NED [m], from the autopilot or its GPS."""
         if self._position is None:
             return None
         north, east, down = self._position[1].tolist()
@@ -303,11 +304,11 @@ class Telemetry:
     # ── time ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def opened(self) -> None:
-        """The connection is new: ask for the time at once."""
+        """The connection is new: request the time at once."""
         self._next_timesync = -math.inf
 
     def ask_time(self, now: float) -> None:
-        """Once in a while."""
+        """Request the time, once in a while."""
         if now < self._next_timesync:
             return
         first = self._exchanges < TIMESYNC_FIRST_EXCHANGES

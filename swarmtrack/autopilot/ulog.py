@@ -1,8 +1,8 @@
 """PX4's own log (ULog) as the telemetry that the same autopilot would have sent: MAVLink frames, each at its time.
 
-So a logged flight takes the way of every other link, and gyro, attitude, position, GPS and their errors are judged by
-the same code. HIGHRES_IMU is stamped as PX4 stamps it, with the time of the newest gyro sample in its mean. What the
-log holds at a higher rate than an agent asks for is thinned to that rate, except the gyro.
+So a logged flight takes the path of every other link, and the same code handles gyro, attitude, position, GPS and
+their errors. HIGHRES_IMU is stamped as PX4 stamps it, with the time of the newest gyro sample in its mean. Messages
+that the log holds at a higher rate than an agent requests are thinned to that rate, except the gyro.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ Said = Iterator[tuple[float, Any]]
 
 
 class UlogFlight(NamedTuple):
-    """One log. records: (time [s since boot], frame), ascending; utc_offset: to UTC [s], None where no GPS told it."""
+    """One log. records: (time [s since boot], frame), ascending; utc_offset: to UTC [s], None without GPS time."""
 
     records: list[tuple[float, bytes]]
     utc_offset: float | None
@@ -53,7 +53,7 @@ class UlogFlight(NamedTuple):
 
 
 def read_ulog(path: Path) -> UlogFlight:
-    """Raises SourceError for what is no log of PX4, or holds no gyro sample."""
+    """Read a PX4 log. Raises SourceError for any other file, or one without gyro samples."""
     from pyulog import ULog  # noqa: PLC0415  (an agent in flight does not pay for it)
     from pyulog.exceptions import ULogException  # noqa: PLC0415
 

@@ -1,8 +1,8 @@
-"""Where a camera is and how to open it: `scheme://target?option=value&…`, read once and checked to the last word.
+"""Camera addresses, `scheme://target?option=value&…`, parsed once and checked completely.
 
-A misspelt option that is silently ignored costs its user an afternoon, so every word that is not understood is
-refused with the ones that are. The exceptions are network schemes, whose query belongs to the server: there our
-own options are taken out and the rest is sent on.
+A misspelt option that is silently ignored costs its user an afternoon, so every unknown word is refused together with
+the known ones. The exceptions are network schemes, whose query belongs to the server: there our own options are taken
+out and the rest is sent on.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Options = TypeVar("Options")
 
 @dataclass(frozen=True, slots=True)
 class CameraAddress:
-    """An address taken apart. `target`: a path, or for network schemes the whole URL without its query."""
+    """A parsed address. `target`: a path, or for network schemes the whole URL without its query."""
 
     scheme: str
     target: str
@@ -43,13 +43,13 @@ class CameraAddress:
         return parts._replace(netloc=user.partition(":")[0] + at + host).geturl() + query
 
     def path(self, base: Path | None) -> Path:
-        """The target as a file; relative ones start at `base`, the folder of the config."""
+        """The target as a file; relative paths start at `base`, the folder of the config."""
         path = os.path.expanduser(unquote(self.target))  # pathlib's raises where there is no such user
         return Path(path) if base is None else base / path
 
 
 def parse_address(source: str) -> CameraAddress:
-    """Take an address apart. `/dev/…` and a bare number are shorthand for `v4l2:`."""
+    """Parse an address. `/dev/…` and a bare number are shorthand for `v4l2:`."""
     source = source.strip()
     if source.isascii() and source.isdigit():
         source = f"/dev/video{source}"
@@ -112,14 +112,14 @@ def read_options(address: CameraAddress, kind: type[Options]) -> Options:
 
 
 def server_url(address: CameraAddress, kind: type[Any]) -> str:
-    """The URL that is asked of the server: the address without our own options."""
+    """URL of the request to the server: the address without our own options."""
     ours = {field.name for field in dataclasses.fields(kind)}
     query = urlencode([(key, value) for key, value in address.query if key not in ours])
     return address.target + (f"?{query}" if query else "")
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """', did you mean …?' and what is known, for the end of a sentence."""
+    """End of an error message: ', did you mean …?' and the known words."""
     names = sorted(known)
     close = difflib.get_close_matches(word, names, n=1, cutoff=0.5)
     question = f', did you mean "{close[0]}"?' if close else ","

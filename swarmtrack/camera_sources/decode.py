@@ -1,4 +1,4 @@
-"""From a camera's bytes to an image: YUYV, GREY and JPEG."""
+"""Decoders of camera bytes: YUYV, GREY and JPEG."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ READ_FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
 def decode_grey(data: memoryview, width: int, height: int, stride: int) -> Image:
-    """8-bit grey, `stride` bytes a line. Returns a copy (height, width)."""
+    """8-bit grey, `stride` bytes per line. Returns a copy (height, width)."""
     return np.array(_lines(data, width, height, stride))
 
 
@@ -55,7 +55,7 @@ def decode_jpeg(data: bytes | memoryview, grey: bool = False) -> Image:
 
 
 def check_pixels(data: bytes) -> tuple[int, int]:
-    """(width, height) of a JPEG; BadImage where no camera has so many."""
+    """(width, height) of a JPEG; raises BadImage above the size of any camera."""
     width, height = jpeg_size(data)
     if width * height > MAX_DECODED_PIXELS:
         raise BadImage(f"JPEG claims {width}x{height}")

@@ -44,7 +44,7 @@ class BadLine(Exception):
 
 
 class StreamLine(msgspec.Struct):
-    """A line of the stream."""
+    """A parsed line of the stream."""
 
     detections: list[tuple[float, float, float, float, float]]
     t_s: float | None = None
@@ -117,14 +117,14 @@ class DetectionStream:
 
 
 class LineReader:
-    """Cuts bytes into lines of at most MAX_DETECTION_LINE_BYTES. No I/O; empty lines are left out."""
+    """Splits bytes into lines of at most MAX_DETECTION_LINE_BYTES. No I/O; empty lines are left out."""
 
     def __init__(self) -> None:
         self._rest = bytearray()
         self._skipping = False  # the rest of a line that was too long
 
     def feed(self, data: bytes) -> list[bytes | None]:
-        """The lines that are complete now; None for one that is too long, once."""
+        """Lines that are now complete; None for one that is too long, once."""
         lines: list[bytes | None] = []
         *ends, rest = data.split(b"\n")
         for end in ends:
@@ -146,7 +146,7 @@ class LineReader:
 
 
 def parse_line(line: bytes | None) -> StreamLine:
-    """A line that can be trusted: finite numbers, sizes from 0, scores in 0 … 1. Raises BadLine."""
+    """Parse and check a line: finite numbers, sizes from 0, scores in 0 … 1. Raises BadLine."""
     if line is None:
         raise BadLine(f"longer than {MAX_DETECTION_LINE_BYTES} bytes")
     try:

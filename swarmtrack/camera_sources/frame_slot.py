@@ -1,4 +1,4 @@
-"""Between a camera and its one consumer: the newest frame, decoded only when it is taken, in a worker thread."""
+"""Slot between a camera and its one consumer: holds the newest frame, decoded only when taken, in a worker thread."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ log = logging.getLogger(__name__)
 
 
 class BadImage(Exception):
-    """Bytes that are no image, or only a part of one."""
+    """Bytes that are not an image, or only a part of one."""
 
 
 class WrongSize(Exception):
-    """An image that the calibration does not speak about."""
+    """An image of another size than the calibration's."""
 
 
 def _nothing() -> None:
@@ -32,10 +32,10 @@ def _nothing() -> None:
 
 @dataclass(frozen=True, slots=True)
 class RawFrame:
-    """A frame as it left the camera. `decode` may be slow and runs in a thread; raises BadImage.
+    """A frame as the camera delivered it. `decode` may be slow and runs in a thread; raises BadImage.
 
-    `header_size` tells (width, height) without decoding, None: it is known or cheap; raises BadImage.
-    `release` gives the camera its buffer back; it is called on the event loop, once, whatever happened to the frame.
+    `header_size` returns (width, height) without decoding; None: it is known or cheap; raises BadImage. `release`
+    returns the buffer to the camera; it is called on the event loop, once, whatever happened to the frame.
     """
 
     t: float
@@ -48,7 +48,7 @@ class RawFrame:
 
 
 def already(image: Image) -> Callable[[], Image]:
-    """The `decode` of a frame that came decoded."""
+    """`decode` for a frame that is already decoded."""
     return lambda: image
 
 
@@ -85,7 +85,7 @@ class FrameSlot(NewestSlot[RawFrame]):
 
 
 def check_size(found: tuple[int, int], size: tuple[int, int] | None, resize: bool) -> None:
-    """Raise WrongSize where images of (width, height) `found` must not meet a calibration for `size`."""
+    """Raise WrongSize where images of (width, height) `found` do not fit a calibration for `size`."""
     if size is not None and found != size and not resize:
         raise WrongSize(
             f"frames are {found[0]}x{found[1]}, the calibration is for {size[0]}x{size[1]}: set the camera to that "
@@ -105,10 +105,10 @@ def fit(image: Image, size: tuple[int, int] | None, resize: bool) -> Image:
 
 
 class Freshness:
-    """Tells a frame that waited in a queue from one that merely took its time.
+    """Distinguishes a frame that waited in a queue from one with a long latency.
 
-    A camera's age at arrival (readout, transfer) is its own; what waited is older than that by periods. So the
-    yardstick is the youngest of the last frames, not zero: a camera with 70 ms of honest latency is never stale.
+    A camera's latency at arrival (readout, transfer) is constant; a queued frame is older by whole periods. So the
+    reference is the smallest age of the last frames, not zero: a camera with 70 ms of constant latency is never stale.
     """
 
     LIMIT = 1.5  # periods older than the youngest

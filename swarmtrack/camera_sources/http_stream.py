@@ -1,6 +1,6 @@
-"""A stream over HTTP that never ends, from a camera that may come and go: opened, opened again, and stamped.
+"""Endless HTTP stream from a camera that may come and go: opened, reopened, and stamped.
 
-A stream rarely says when its images were exposed. If it does, in seconds as a decimal number, that is taken as the
+A stream rarely states when its images were exposed. If it does, in seconds as a decimal number, that is taken as the
 time of exposure: on our monotonic clock if it lies within two seconds of it (a sender on the same machine), else as
 UTC of a sender whose clock is synchronised with ours. A stamp that fits neither, or lies in the future, is counted as
 `bad_stamps` and the time of arrival is used instead, with `latency_ms` taken off and `sigma_ms` as its uncertainty.
@@ -36,7 +36,7 @@ HINTS = {401: ": give user and password, http://USER:PASSWORD@HOST/…", 404: ":
 
 @dataclass(frozen=True, slots=True)
 class StreamOptions:
-    """Of streams from the network, which may carry no time of exposure."""
+    """Options of network streams, which may lack exposure times."""
 
     latency_ms: float = 0.0  # from exposure to arrival, where only the arrival is known
     sigma_ms: float = 50.0  # of the same
@@ -50,7 +50,7 @@ class StreamOptions:
 
 @dataclass(frozen=True, slots=True)
 class NetworkOptions(StreamOptions):
-    """Of `http:` and `rtsp:`."""
+    """Options of `http:` and `rtsp:`."""
 
     resize: bool = False
 
@@ -59,11 +59,11 @@ Read = Callable[["aiohttp.ClientResponse"], Awaitable[None]]
 
 
 class StreamEnded(Exception):
-    """The text says why; the stream is opened again."""
+    """End of a stream, with the reason; the stream is reopened."""
 
 
 class Exposure(NamedTuple):
-    """When an image was exposed [s], with its standard deviation [s], and how we know."""
+    """Exposure time of an image [s], its standard deviation [s], and the source of both."""
 
     stamp: StampKind
     t: float
@@ -71,7 +71,7 @@ class Exposure(NamedTuple):
 
 
 class HttpStream:
-    """received: images (or lines, or whatever it is that comes) since the start; bad_stamps: of these, see above."""
+    """received: images (or lines, or other items) since the start; bad_stamps: of these, see above."""
 
     def __init__(self, url: str, options: StreamOptions, clock: Clock, slot: NewestSlot[Any]) -> None:
         self.received = 0
@@ -83,7 +83,7 @@ class HttpStream:
         self._task: asyncio.Task[None] | None = None
 
     def start(self, read: Read) -> None:
-        """Have each connection's answer read, until `stop`. `read` may raise StreamEnded."""
+        """Read the answer of each connection with `read`, until `stop`. `read` may raise StreamEnded."""
         self._task = self._task or start(partial(self._run, read), self._slot)
 
     async def stop(self) -> None:
@@ -129,7 +129,9 @@ class HttpStream:
                 backoff = min(2 * backoff, CAMERA_LONGEST_BACKOFF_S)
 
     def exposure(self, stamp: float | None, arrived: float) -> Exposure:
-        """stamp [s]: what the stream says, NaN for what is no number, None for nothing; arrived: on our clock."""
+        """Exposure time. stamp [s]: from the stream, NaN for an invalid one, None without one; arrived: on our
+        clock.
+        """
         if stamp is not None:
             now = self._clock.now()
             for clock_now, sigma in ((now, HTTP_MONOTONIC_SIGMA_S), (self._clock.utc(), HTTP_UTC_SIGMA_S)):

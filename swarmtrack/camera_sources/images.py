@@ -39,7 +39,7 @@ class ImagesOptions:
 
 
 class ImageFolder:
-    """Images and their times. `size`: (width, height) px of the first that can be read."""
+    """Images and their times. `size`: (width, height) px of the first readable one."""
 
     def __init__(self, folder: Path, options: ImagesOptions) -> None:
         """Raises SourceError if there is nothing to play."""
@@ -72,7 +72,7 @@ class ImageFolder:
 
 
 def read_image(path: Path) -> Image | None:
-    """The image as the sensor saw it, None if it is missing, damaged or no image."""
+    """The image with its stored channels; None if it is missing, damaged or not an image."""
     try:
         data = np.fromfile(path, np.uint8)
         image = cv2.imdecode(data, READ_FLAGS) if data.size else None

@@ -1,6 +1,6 @@
 """`http:` a stream of JPEGs (`multipart/x-mixed-replace`), as IP cameras, phones and mjpg-streamer send it.
 
-A part may carry `X-Timestamp`, the time of its exposure; `http_stream` says how it is read.
+A part may carry `X-Timestamp`, the time of its exposure; `http_stream` defines its form.
 """
 
 from __future__ import annotations

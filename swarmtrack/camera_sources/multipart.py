@@ -1,7 +1,7 @@
-"""Cuts an HTTP `multipart/x-mixed-replace` stream into its parts. No I/O: bytes and times in, parts out.
+"""Parser of HTTP `multipart/x-mixed-replace` streams. No I/O: bytes and times in, parts out.
 
-What is in the field: boundaries announced with and without their two dashes, bare line feeds, no Content-Length or
-a wrong one, and streams that are joined in the middle of a part.
+Real servers announce boundaries with and without the two dashes, send bare line feeds, no Content-Length or a wrong
+one, and may be joined in the middle of a part.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """headers: names in lower case; arrived: when its last byte came."""
+    """headers: names in lower case; arrived: time of its last byte."""
 
     headers: dict[str, str]
     body: bytes
@@ -23,7 +23,7 @@ class Part:
 
 
 class MultipartReader:
-    """garbage: bytes that belonged to no part; oversized: parts beyond MAX_PART_BYTES, thrown away."""
+    """garbage: bytes outside of all parts; oversized: parts beyond MAX_PART_BYTES, dropped."""
 
     def __init__(self, boundary: str) -> None:
         # Many cameras announce "--name" and send "--name", where the standard says "----name": look for either.

@@ -1,7 +1,7 @@
-"""Between a source and its one consumer: room for the newest thing it sent.
+"""Slot between a source and its one consumer: holds only the newest item.
 
-What a camera saw a moment ago is worth less than what it sees now, so what nobody took yet gives way to the next.
-All of it happens on the event loop; a thread that produces hands over with `loop.call_soon_threadsafe(slot.put, …)`.
+Old images are worth less than new ones, so an item that was not taken yet gives way to the next. All of it happens on
+the event loop; a producing thread hands over with `loop.call_soon_threadsafe(slot.put, …)`.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ T = TypeVar("T")
 
 
 class NewestSlot(Generic[T]):
-    """Room for one T. One producer puts, one consumer takes. What becomes of the frames stands in `source`.
+    """Slot for one T, with one producer and one consumer. `source` counts what becomes of the frames.
 
-    discard: called, once, with what gave way and was never taken.
+    discard: called, once, with each item that was replaced before it was taken.
     """
 
     def __init__(self, name: str, clock: Clock, discard: Callable[[T], None] = lambda _: None) -> None:
@@ -45,7 +45,7 @@ class NewestSlot(Generic[T]):
         self._changed.set()
 
     def end(self, error: BaseException | None = None) -> None:
-        """Nothing more will come. The consumer still gets what waits, then `error` or the end."""
+        """End the sequence. The consumer still gets a waiting item, then `error` or the end."""
         self._ended = True
         self._error = self._error or error
         self._changed.set()
@@ -55,7 +55,7 @@ class NewestSlot(Generic[T]):
         return self._ended
 
     def clear(self) -> None:
-        """Give back what waits, unseen: its camera is gone."""
+        """Discard the waiting item, whose camera is gone."""
         if self._newest is not None:
             self._discard(self._newest)
             self._newest = None
@@ -63,13 +63,13 @@ class NewestSlot(Generic[T]):
     # the consumer's side ------------------------------------------------------------------------------------------
 
     async def arrived(self) -> None:
-        """Until something waits, or nothing more will come."""
+        """Wait for an item or the end."""
         while self._newest is None and not self._ended:
             self._changed.clear()
             await self._changed.wait()
 
     async def get(self) -> T | None:
-        """The newest, as soon as there is one; None after the end."""
+        """Wait for the newest item; None after the end."""
         await self.arrived()
         if self._newest is None:
             if self._error is not None:
@@ -80,7 +80,7 @@ class NewestSlot(Generic[T]):
 
 
 def start(run: Callable[[], Coroutine[Any, Any, None]], slot: NewestSlot[Any]) -> asyncio.Task[None] | None:
-    """Run a producer as a task; its end, or its failure, is the end of the slot's frames. Not after the end."""
+    """Run a producer as a task; its end or failure ends the slot's frames. Does nothing after the end."""
     if slot.ended:
         return None
     task = asyncio.create_task(run(), name="camera")
@@ -89,7 +89,7 @@ def start(run: Callable[[], Coroutine[Any, Any, None]], slot: NewestSlot[Any]) -
 
 
 async def stop(task: asyncio.Task[None] | None, slot: NewestSlot[Any]) -> None:
-    """End a producer and the iteration of its consumer; returns within CAMERA_CLOSE_TIMEOUT_S, come what may."""
+    """Stop a producer and its consumer's iteration; always returns within CAMERA_CLOSE_TIMEOUT_S."""
     slot.clear()
     slot.end()
     if task is not None and not task.done():

@@ -1,4 +1,4 @@
-"""Which camera an address means."""
+"""Cameras by address."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CAMERA_SOURCES: dict[str, Callable[..., Camera]] = {
 def open_camera(
     source: str, *, clock: Clock, size: tuple[int, int] | None = None, base: Path | None = None
 ) -> Camera:
-    """The camera of an address; nothing is started before its `frames()`.
+    """The camera at an address; nothing is started before its `frames()`.
 
     size: (width, height) px of its calibration, frames of another are refused unless the address says `resize=1`;
     base: the folder that relative paths start from. Raises SourceError for what can never work.

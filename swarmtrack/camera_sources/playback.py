@@ -1,4 +1,4 @@
-"""Plays a recording as if it were a camera, or as fast as it goes.
+"""Playback of a recording as a camera, in real time or as fast as possible.
 
 A worker thread reads ahead by one picture. At pace `realtime` it shows each picture at its time, and one that
 nobody took gives way to the next, as with a camera. At pace `fast` it waits until the last one was taken, so every
@@ -25,7 +25,7 @@ PACES = ("realtime", "fast")
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """One image of a recording. t: media time [s] from its first picture; image None: could not be read."""
+    """One image of a recording. t: media time [s] from its first picture; image None: unreadable."""
 
     t: float
     sequence: int
@@ -33,7 +33,7 @@ class Picture:
 
 
 class Playable(Protocol):
-    """What can be played. `play` reads from the start, in one thread, and closes what it opened when it is left."""
+    """A playable recording. `play` reads from the start, in one thread, and closes its files when it is left."""
 
     period: float  # s between pictures, for the pause between two loops
 
@@ -45,12 +45,12 @@ class Playable(Protocol):
     def play(self) -> Iterator[Picture]: ...
 
     def ending(self, pictures: int) -> tuple[bool, str]:
-        """Whether the end, after so many pictures, is as it should be, and a sentence about it."""
+        """Whether the end after this many pictures is regular, and a sentence about it."""
         ...
 
 
 class PlaybackOptions(Protocol):
-    """What every recording's address may ask for."""
+    """Options common to all recordings."""
 
     @property
     def pace(self) -> str: ...
@@ -61,7 +61,7 @@ class PlaybackOptions(Protocol):
 
 
 class PlaybackCamera(ThreadCamera):
-    """A camera that is a recording."""
+    """A recording as a camera."""
 
     def __init__(self, recording: Playable, *, clock: Clock, slot: FrameSlot, pace: str, loop: bool) -> None:
         super().__init__(slot)
@@ -138,7 +138,7 @@ def play(
     clock: Clock,
     size: tuple[int, int] | None,
 ) -> PlaybackCamera:
-    """The recording as a camera. Raises SourceError where it was not calibrated for, see `check_size`."""
+    """The recording as a camera. Raises SourceError where it does not fit the calibration, see `check_size`."""
     try:
         check_size(recording.size, size, options.resize)
     except WrongSize as error:

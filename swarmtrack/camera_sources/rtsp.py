@@ -1,8 +1,8 @@
 """`rtsp:` a network camera, read by OpenCV's FFmpeg in a worker thread.
 
-Nothing in such a stream tells when a frame was exposed, so its time is that of arrival, less `latency_ms`, with
-`sigma_ms` as its uncertainty: fit for watching, poor for tracking from a drone that turns. FFmpeg's own settings can be
-given in the environment variable OPENCV_FFMPEG_CAPTURE_OPTIONS, for example `rtsp_transport;udp`.
+Such a stream has no exposure times, so a frame's time is that of arrival, less `latency_ms`, with `sigma_ms` as its
+uncertainty: fit for watching, poor for tracking from a drone that turns. FFmpeg's own settings can be given in the
+environment variable OPENCV_FFMPEG_CAPTURE_OPTIONS, for example `rtsp_transport;udp`.
 """
 
 from __future__ import annotations

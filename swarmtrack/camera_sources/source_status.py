@@ -1,4 +1,4 @@
-"""How a source is: one line for people, counters for the health message, rates and ages of what it gave."""
+"""Status of a source: one line for people, counters for the health message, rates and ages of its frames."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(slots=True)
 class Counts:
-    """What became of all frames since the start."""
+    """Numbers of frames since the start, by outcome."""
 
     frames: int = 0  # given to the consumer
     dropped: int = 0  # gave way to a newer one, because the consumer was busy
@@ -30,7 +30,7 @@ class Counts:
 
 
 class SourceStatus:
-    """Told by a source what becomes of its frames; all on the event loop."""
+    """Status of one source, which reports each frame's outcome; all on the event loop."""
 
     def __init__(self, name: str, clock: Clock) -> None:
         self.counts = Counts()
@@ -44,18 +44,18 @@ class SourceStatus:
         self._t_sigma = 0.0
 
     def came(self) -> None:
-        """A frame is here."""
+        """Count an arrived frame."""
         self._came.append(self._clock.now())
 
     def report(self, ok: bool, text: str) -> None:
-        """Set the one line about this source; logged when it changes, not when it is said again."""
+        """Set the one line about this source; logged when it changes, not when it is repeated."""
         text = plain(text)
         if (ok, text) != (self._ok, self._text):
             log.log(logging.INFO if ok else logging.WARNING, "camera %s: %s", self.name, text)
         self._ok, self._text = ok, text
 
     def given(self, t: float, t_sigma: float) -> None:
-        """What was taken was of use, and goes to the consumer. t: its exposure, t_sigma: that time's uncertainty."""
+        """Count a frame delivered to the consumer. t: its exposure, t_sigma: that time's uncertainty."""
         now = self._clock.now()
         self._given.append((now, now - t))
         self._t_sigma = t_sigma
@@ -63,7 +63,7 @@ class SourceStatus:
         self._trouble = ""
 
     def refuse(self, text: str) -> None:
-        """What was taken is of no use, and why; said until something is."""
+        """Count a rejected frame, with the reason; reported until one is accepted."""
         text = plain(text)
         if text != self._trouble:
             log.warning("camera %s: %s", self.name, text)

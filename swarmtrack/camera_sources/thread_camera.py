@@ -1,4 +1,4 @@
-"""A camera whose frames come from a worker thread."""
+"""A camera with a worker thread."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from swarmtrack.messages import Frame, LinkStatus
 
 
 class ThreadCamera(ABC):
-    """The thread begins with the first look at `frames`, feeds the slot, and ends once `_stop` is set."""
+    """The thread starts with the first iteration of `frames`, feeds the slot, and ends once `_stop` is set."""
 
     def __init__(self, slot: FrameSlot) -> None:
         self._slot = slot

@@ -56,7 +56,7 @@ LIBCAMERA_DRIVERS = ("unicam", "rp1-cfe")
 
 
 class CameraUnavailable(Exception):
-    """The camera cannot be used now. The text says why and what helps."""
+    """The camera cannot be used now; the text names the reason and the remedy."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -337,11 +337,11 @@ class Capture:
         return decode_yuyv(data, *self.size, self.stride or 2 * self.size[0], grey)
 
     def retire(self) -> None:
-        """From now on `requeue` does nothing. Called on the loop, as `requeue` is, so the two cannot meet."""
+        """Disable `requeue`. Called on the loop, as `requeue` is, so the two cannot meet."""
         self._retired = True
 
     def close(self) -> None:
-        """Stop and give the device free; blocking, once."""
+        """Stop and release the device; blocking, once."""
         self.retire()
         with contextlib.suppress(OSError):
             fcntl.ioctl(self.fd, abi.VIDIOC_STREAMOFF, c_int32(abi.BUF_TYPE_VIDEO_CAPTURE))
@@ -581,7 +581,7 @@ def _group_of(path: str) -> str:
 
 
 def holders(path: str) -> list[str]:
-    """Other processes that have the file open, as `name (pid N)`; only those that we may look into."""
+    """Other processes that have the file open, as `name (pid N)`; only those with readable descriptors."""
     target = os.path.realpath(path)
     found = []
     for process in Path("/proc").glob("[0-9]*"):

@@ -1,4 +1,4 @@
-"""Video4Linux2 as the kernel speaks it: the structures and request numbers of <linux/videodev2.h> that a camera needs.
+"""Video4Linux2's kernel interface: the structures and request numbers of <linux/videodev2.h> for a camera.
 
 Only single-planar capture into memory-mapped buffers. Names are the kernel's.
 """

@@ -34,7 +34,7 @@ class VideoOptions:
 
 
 def open_video(source: str, parameters: Sequence[int] = ()) -> cv2.VideoCapture:
-    """Ask OpenCV's FFmpeg for a file or stream, without OpenCV's own warning where it fails."""
+    """Open a file or stream with OpenCV's FFmpeg, without OpenCV's own warning on failure."""
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     try:
@@ -44,8 +44,7 @@ def open_video(source: str, parameters: Sequence[int] = ()) -> cv2.VideoCapture:
 
 
 class VideoFile:
-    """A video file that was found to hold at least one frame. size: (width, height) px; announced: how many frames its
-    header tells of."""
+    """A video file with at least one frame. size: (width, height) px; announced: number of frames in its header."""
 
     def __init__(self, path: Path, fps: float | None) -> None:
         """Raises SourceError if there is nothing to play."""
