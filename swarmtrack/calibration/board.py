@@ -1,4 +1,4 @@
-"""Boards to calibrate with: drawn, printed, and found in images."""
+"""Calibration boards: drawn, printed, and found in images."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PAPERS_MM = {"A4": (297.0, 210.0), "A3": (420.0, 297.0), "A2": (594.0, 420.0), "
 
 
 class Seen(NamedTuple):
-    """A board in one image. ids (n,): which corners; points (n, 3) m on the board; pixels (n, 2)."""
+    """A board in one image. ids (n,): of corners; points (n, 3) m on the board; pixels (n, 2)."""
 
     ids: NDArray[np.int64]
     points: Array
@@ -71,7 +71,7 @@ class Board:
         return image
 
     def find(self, image: Image) -> Seen | None:
-        """The board in (h, w) or (h, w, 3), None where too little of it is seen."""
+        """The board in (h, w) or (h, w, 3); None where too little of it is visible."""
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
         finder = {
             "charuco": self._find_charuco,

@@ -1,4 +1,4 @@
-"""How wide a detector's boxes are beside airframes of known span and distance: the fit of `BoxWidth`.
+"""Fit of `BoxWidth`: widths of a detector's boxes around airframes of known span and distance.
 
 The logarithm of a box's width is compared with that of factor · x + padding, x the width of the span at that distance
 [px], by robust least squares. What the residuals of a drone have in common is its lasting error. The rest is split by
@@ -40,8 +40,9 @@ class Widths(NamedTuple):
 
 
 class WidthFit(NamedTuple):
-    """What was found. padded: whether the distances told padding from factor; drones_told: whether drone_sigma was
-    measured; residuals: by drone, of ln(width)."""
+    """Result of the fit. padded: whether the distances separate padding from factor; drones_told: whether
+    drone_sigma was measured; residuals: by drone, of ln(width).
+    """
 
     width: BoxWidth
     boxes: int
@@ -52,7 +53,7 @@ class WidthFit(NamedTuple):
 
 
 def fit_box_width(drones: Sequence[Widths]) -> WidthFit:
-    """Raises CalibrationError where the boxes tell too little."""
+    """Fit the model. Raises CalibrationError for too few or too similar boxes."""
     drones = [drone for drone in drones if len(drone.t) >= FEWEST_BOXES_OF_DRONE]
     boxes = sum(len(drone.t) for drone in drones)
     if boxes < FEWEST_BOXES:
@@ -137,8 +138,9 @@ def _split(drones: Sequence[tuple[Array, Array]]) -> tuple[float, float, float]:
 
 
 def level_width(away: Array, span: float, camera: PinholeCamera, team_from_camera: Array) -> float:
-    """px, undistorted, or in the image of a wide lens: how wide a level line of `span` m is that stands across the view
-    at away (3,) m from the camera, team axes."""
+    """Width of a level line of `span` m across the view at away (3,) m from the camera, team axes: px, undistorted,
+    or in the image of a wide lens.
+    """
     ray = away / np.linalg.norm(away)
     level = np.array([-ray[1], ray[0], 0.0])
     level *= 0.5 * span / max(float(np.linalg.norm(level)), 1e-9)

@@ -1,4 +1,4 @@
-"""What came of turning a drone by hand: whether it can be believed, and the lines of the config that it makes."""
+"""Result of turning a drone by hand: its plausibility, and the lines for the config."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ BODY_AXES = ("roll (about the nose)", "pitch (about the wings)", "yaw (about the
 
 
 def rpy_deg(found: HandEye) -> Array:
-    """(3,) as `camera.body_from_camera.rpy_deg` wants it: of the camera as if it were a body."""
+    """Camera angles (3,) as in `camera.body_from_camera.rpy_deg`: of the camera as if it were a body."""
     body_from_aimed = found.camera_from_body.T @ rotation.BODY_FROM_FORWARD_CAMERA.T
     return np.degrees(rotation.to_euler(body_from_aimed))
 
 
 def doubts(found: HandEye, agreement: Agreement | None, *, seconds: float, reach: float) -> list[str]:
-    """Why it should not be believed, with what to do; nothing where it should."""
+    """Reasons against the result, with remedies; empty for a plausible one."""
     lines = []
     if found.at_edge:
         lines.append(f"the clocks are more than {reach:g} s apart: search farther with --reach")
@@ -70,7 +70,7 @@ def doubts(found: HandEye, agreement: Agreement | None, *, seconds: float, reach
 
 
 def toml_lines(found: HandEye, position_m: Array) -> list[str]:
-    """For the config's [camera]."""
+    """Lines for the config's [camera]."""
     angles = ", ".join(f"{angle:.2f}" for angle in rpy_deg(found))
     place = ", ".join(f"{x:g}" for x in np.round(position_m, 4))
     return [
@@ -80,14 +80,15 @@ def toml_lines(found: HandEye, position_m: Array) -> list[str]:
 
 
 def for_the_config(lines: list[str], number: int, count: int) -> str:
-    """What to put into a config by hand, for the camera of this place among its `count`."""
+    """Lines to put into a config by hand, for the camera of this index among its `count`."""
     head = "[camera]" if count == 1 else f"[[camera]]  # into that of camera {number + 1} of {count}"
     return "\n".join([head, *lines])
 
 
 def write_into(path: Path, lines: list[str], number: int = 0) -> None:
-    """Put lines `key = …` into the [camera] of a config, over those of the same keys; of several into that one, by its
-    place. The file stays as it was where that makes no valid config: SourceError."""
+    """Write lines `key = …` into the [camera] of a config, over those of the same keys; of several cameras, into
+    the one of this index. Leaves the file unchanged where the result would be invalid: SourceError.
+    """
     try:
         before = path.read_text(encoding="utf-8")
     except OSError as error:
@@ -109,7 +110,7 @@ def write_into(path: Path, lines: list[str], number: int = 0) -> None:
 
 
 def with_lines(text: str, lines: list[str], number: int = 0) -> str:
-    """A config's text with lines `key = …` in its [camera], or in that one of its [[camera]] by its place."""
+    """A config's text with lines `key = …` in its [camera], or in the [[camera]] of this index."""
     rows = text.splitlines()
     heads = [i for i, row in enumerate(rows) if re.match(r"\s*(\[\s*camera\s*\]|\[\[\s*camera\s*\]\])", row)]
     if number >= len(heads):

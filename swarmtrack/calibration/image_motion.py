@@ -1,9 +1,9 @@
-"""How a camera turned from one frame to the next, by its image alone.
+"""Rotation of a camera from one frame to the next, from images alone.
 
-Corners are followed by Lucas and Kanade's optical flow, there and back again; what does not come back to where it began
-is left out. The lens' model makes bearings of them, and one rotation takes those of the one frame to those of the other
-(Wahba's problem, for the rotation alone: what is near and shifts when the camera is also moved is outvoted). A few
-hundred pairs of corners propose, the rotation that most of the others agree with begins, and weights by Cauchy finish.
+Corners are tracked by Lucas and Kanade's optical flow, forward and back; those that do not return are left out. The
+lens model turns them into bearings, and one rotation takes those of one frame to those of the other (Wahba's problem,
+for the rotation alone: near points, which shift when the camera also moves, are outvoted). A few hundred pairs of
+corners propose, the rotation with the most inliers is the initial guess, and Cauchy weights refine it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,9 @@ LEVELS = 3
 
 
 class Turn(NamedTuple):
-    """From the frame stamped `start` to that of `end`: vector (3,) rad as in `Turns`; share of corners that agree."""
+    """Rotation from the frame stamped `start` to that of `end`: vector (3,) rad as in `Turns`; share of corners
+    that agree.
+    """
 
     start: float
     end: float
@@ -41,7 +43,7 @@ class Turn(NamedTuple):
 
 
 class ImageMotion:
-    """Told of frames one after the other; keeps what they said of the camera's turning."""
+    """Takes frames in order; accumulates the camera's rotations."""
 
     def __init__(self, camera: PinholeCamera) -> None:
         halvings = max(0, round(np.log2(camera.width / FLOW_WIDTH_PX)))
@@ -53,7 +55,7 @@ class ImageMotion:
         self.frames = 0
 
     def add_frame(self, t: float, image: Image) -> Turn | None:
-        """A frame stamped t, (h, w) or (h, w, 3), of the camera's size. None where nothing could be said."""
+        """A frame stamped t, (h, w) or (h, w, 3), of the camera's size. None where no rotation was found."""
         grey = np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image, np.uint8)
         if grey.shape[::-1] != self._size:
             grey = np.asarray(cv2.resize(grey, self._size, interpolation=cv2.INTER_AREA), np.uint8)
@@ -67,7 +69,7 @@ class ImageMotion:
         return turn
 
     def turns(self) -> Turns:
-        """All that was found so far. Any thread may ask while more frames are seen."""
+        """All rotations so far. Any thread may call while frames are added."""
         found = self.found.copy()
         return Turns(
             np.array([turn.start for turn in found]),

@@ -1,4 +1,4 @@
-"""Intrinsics from views of a board: fitted, views that do not fit left out, judged, written."""
+"""Intrinsics from views of a board: fit, outlier rejection, quality check, output."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GOOD_RMS_PX, GOOD_SIGMA, GOOD_VIEWS = 0.6, 0.004, 12
 
 
 class Fit(NamedTuple):
-    """A camera and how well it is known.
+    """A camera with the uncertainty of its parameters.
 
     sigma (4,) px of fx fy cx cy; rms px over all corners; views: indices of those used, errors (n,) px their own;
     rejected: indices of those left out; pixels, residuals (m, 2) px of all corners used.
@@ -49,7 +49,7 @@ class _Solution(NamedTuple):
 
 
 def fit(seen: Sequence[Seen], size: tuple[int, int], model: Model = "radtan") -> Fit:
-    """seen: views of one board in images of size (width, height). Raises CalibrationError."""
+    """Fit a camera. seen: views of one board in images of size (width, height). Raises CalibrationError."""
     views = list(range(len(seen)))
     if len(views) < LEAST_VIEWS:
         raise CalibrationError(
@@ -92,7 +92,7 @@ def fit(seen: Sequence[Seen], size: tuple[int, int], model: Model = "radtan") ->
 
 
 def doubts(found: Fit) -> list[str]:
-    """Why not to be content, with what to do; nothing where all is well."""
+    """Reasons against the fit, with remedies; empty for a good one."""
     lines = []
     if found.rms > GOOD_RMS_PX:
         lines.append(
@@ -117,7 +117,7 @@ def doubts(found: Fit) -> list[str]:
 
 
 def as_yaml(found: Fit, name: str) -> str:
-    """As ROS' camera_info, which many programs read, ours among them."""
+    """The camera as ROS' camera_info, which many programs read, ours among them."""
     camera = found.camera
     coefficients = camera.distortion.coefficients if camera.distortion else ()
     document: dict[str, Any] = {

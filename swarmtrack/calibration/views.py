@@ -1,4 +1,4 @@
-"""Which views of a board are worth keeping, and what is still missing.
+"""Selection of board views, and what is still missing.
 
 A calibration is as good as its views are different: a board in all corners of the image, near and far, tilted to all
 sides. Focal length and distance cannot be told apart by boards that face the camera.
@@ -26,7 +26,7 @@ TILTS = ("its left edge", "its right edge", "its upper edge", "its lower edge")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoardView:
-    """A board in one image, and how it stood: place (2,) and size as shares of the image, tilt (2,) rad."""
+    """A board in one image, and its pose: place (2,) and size as shares of the image, tilt (2,) rad."""
 
     seen: Seen
     place: Array
@@ -49,7 +49,7 @@ class BoardViews:
     _last: Seen | None = None
 
     def offer(self, seen: Seen | None) -> bool:
-        """Whether this view was worth keeping."""
+        """Add a view if it is useful; returns whether it was."""
         last, self._last = self._last, seen
         if seen is None:
             return False
@@ -74,11 +74,11 @@ class BoardViews:
         return float(moved.mean()) < STILL_BOARD_SHARE * self.size[0]
 
     def cells(self) -> NDArray[np.bool_]:
-        """(rows, columns): where in the image there were corners."""
+        """Cells of the image that contained corners: (rows, columns)."""
         return covered([view.seen.pixels for view in self.kept], self.size)
 
     def missing(self) -> list[str]:
-        """What to show the camera next; nothing where all was shown."""
+        """The view to show next; empty where all were shown."""
         wanted = []
         cells = self.cells()
         if cells.mean() < ENOUGH_CELLS:
@@ -102,7 +102,7 @@ class BoardViews:
         return wanted
 
     def picture(self) -> list[str]:
-        """The image's parts as lines: full where corners were."""
+        """Cells of the image as lines of text: filled where there were corners."""
         return ["".join(" ██" if cell else " ··" for cell in row) for row in self.cells()]
 
 

@@ -1,4 +1,4 @@
-"""Reading a team of drones from Python, and telling one what its ranging radio measures (docs/client.md)."""
+"""Python client: reads a team of drones, and sends the ranges of a ranging radio to an agent (docs/client.md)."""
 
 from swarmtrack.client.axes import Axes
 from swarmtrack.client.ranging import Ranging

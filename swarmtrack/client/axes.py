@@ -11,7 +11,7 @@ from swarmtrack.messages import Array
 
 
 class Axes(enum.Enum):
-    """In which axes the world and the body of a drone are told. A camera's are always x right, y down, z forward."""
+    """Axes of the world and the body of a drone. A camera's are always x right, y down, z forward."""
 
     NED = "ned"
     """World north, east, down; body forward, right, down (FRD)."""
@@ -20,12 +20,12 @@ class Axes(enum.Enum):
 
     @property
     def world_from_ned(self) -> Array:
-        """(3, 3)."""
-        return np.eye(3) if self is Axes.NED else ENU_FROM_NED
+        """Rotation matrix (3, 3)."""
+        return np.eye(3) if self is Axes.NED else _ENU_FROM_NED
 
     @property
     def body_from_frd(self) -> Array:
-        """(3, 3)."""
+        """Rotation matrix (3, 3)."""
         return np.eye(3) if self is Axes.NED else _FLU_FROM_FRD
 
 

@@ -1,4 +1,4 @@
-"""A team as a planner hears it: who lives, through which camera each looks, and what counts of what is said."""
+"""State of a team as a planner receives it: live drones, their cameras, and which messages count."""
 
 from __future__ import annotations
 
@@ -26,7 +26,9 @@ CLASH_S = 2.5
 
 
 class HeardTeam:
-    """Told of samples; answers with what they say. Nothing counts of who is not alive; what does not is counted."""
+    """Takes samples; returns what they contain. Messages of a drone that is not alive do not count, and are
+    counted.
+    """
 
     def __init__(self, team: str, axes: Axes) -> None:
         self._team = team
@@ -37,23 +39,23 @@ class HeardTeam:
 
     @property
     def drones(self) -> tuple[int, ...]:
-        """The IDs of all that live."""
+        """IDs of all live drones."""
         return tuple(sorted(self._membership.peers))
 
     @property
     def without_camera(self) -> tuple[int, ...]:
-        """Whose camera is to be asked for."""
+        """Drones whose camera message is to be requested."""
         return tuple(
             i for i in self.drones if any((i, b) not in self._cameras for b in self._membership.speaking(i))
         )
 
     @property
     def counters(self) -> Counter[str]:
-        """What was refused, by reason."""
+        """Rejected messages, by reason."""
         return self._counters + self._membership.counters
 
     def camera(self, drone_id: int) -> DroneCamera | None:
-        """None while it is not known, or two processes speak as this drone."""
+        """Camera of a drone; None while it is unknown, or while two processes use this ID."""
         boots = self._membership.speaking(drone_id)
         return self._cameras.get((drone_id, boots[0])) if len(boots) == 1 else None
 

@@ -1,4 +1,4 @@
-"""Distances that a ranging radio on board measures, told to the drone's own agent."""
+"""Ranges measured by a ranging radio on board, sent to the drone's own agent."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ class Ranging:
 
     @property
     def linked(self) -> bool:
-        """Whether anybody is there to hear it."""
+        """Whether the agent is linked."""
         return self._speaker.links().count > 0
 
     @property
     def unsent(self) -> int:
-        """What the link did not take."""
+        """Number of messages that the link did not take."""
         return self._speaker.unsent
 
     async def say(

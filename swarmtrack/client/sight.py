@@ -1,4 +1,4 @@
-"""What a planner gets: tracks with directions, names and relative states, in the axes that were asked for."""
+"""A planner's view of tracks with directions, names and relative states, in the chosen axes."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ class DroneCamera:
 
     @property
     def all(self) -> tuple[DroneCamera, ...]:
-        """Its cameras, as `Target.camera` counts them."""
+        """Its cameras, in the order of `Target.camera`."""
         return (self, *self.others)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Relative:
-    """Where a teammate is and how it moves, against the observer's camera, along the world's axes.
+    """Position and velocity of a teammate relative to the observer's camera, along the world's axes.
 
-    position (3,) m; velocity (3,) m/s; cov (6, 6) of both. range_sigma_log: how well the distance is known, as a share
-    of it. sources: what told of it ("size", "announcement", "velocity", "range", "pose", "sighting").
+    position (3,) m; velocity (3,) m/s; cov (6, 6) of both. range_sigma_log: uncertainty of the range, as a share of
+    it. sources: measurements used ("size", "announcement", "velocity", "range", "pose", "sighting").
     """
 
     position: Array
@@ -51,12 +51,12 @@ class Relative:
 
     @property
     def distance(self) -> float:
-        """m."""
+        """Range, m."""
         return float(np.linalg.norm(self.position))
 
     @property
     def distance_sigma(self) -> float:
-        """m."""
+        """Standard deviation of the range, m."""
         return self.range_sigma_log * self.distance
 
 
@@ -94,10 +94,10 @@ class Target:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sight:
-    """All that one drone tracks at one instant.
+    """All tracks of one drone at one instant.
 
-    t_utc_s [s]: the instant, on the drone's wall clock, known to t_sigma_s. arrived [s]: when it was heard, on our
-    monotonic clock. scan_age_s: how old the last image is. sequence: a jump by more than one is a lost message.
+    t_utc_s [s]: the instant, on the drone's wall clock, with uncertainty t_sigma_s. arrived [s]: time of reception, on
+    our monotonic clock. scan_age_s: age of the last image. sequence: a jump by more than one is a lost message.
     """
 
     drone_id: int
@@ -110,7 +110,7 @@ class Sight:
     targets: tuple[Target, ...]
 
     def of(self, drone_id: int) -> Target | None:
-        """The track that bears this teammate's name; the surest where there are several."""
+        """The track with this teammate's name; of several, the most probable."""
         named = [target for target in self.targets if target.identity == drone_id]
         return max(named, key=lambda target: target.identity_probability, default=None)
 
@@ -124,14 +124,14 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DroneHealth:
-    """How an agent is doing. message: all of it, fields as in docs/wire.md."""
+    """Health of an agent. message: all of it, fields as in docs/wire.md."""
 
     drone_id: int
     message: HealthMessage
 
     @property
     def ready(self) -> bool:
-        """Whether it could fly now."""
+        """Whether the drone could fly now."""
         return self.message.readiness is not None and self.message.readiness.ready
 
     @property
@@ -141,7 +141,7 @@ class DroneHealth:
 
 
 def camera_of(message: CameraMessage) -> DroneCamera:
-    """Raises DecodeError."""
+    """The camera in a message. Raises DecodeError."""
     others = tuple(DroneCamera(camera_from(one.lens), mounting_from(one)) for one in message.others)
     return DroneCamera(camera_from(message.lens), mounting_from(message), others)
 
@@ -149,8 +149,9 @@ def camera_of(message: CameraMessage) -> DroneCamera:
 def sight_of(
     drone_id: int, message: TracksMessage, camera: DroneCamera | None, arrived: float, axes: Axes
 ) -> Sight:
-    """A message as its reader wants it. camera: of that drone, its first with all others; None while it is not known.
-    arrived [s]."""
+    """A message in the client's form. camera: of that drone, its first with all others; None while it is unknown.
+    arrived [s].
+    """
     relatives = {said.track_id: _relative(said, axes) for said in message.relatives}
     cameras = () if camera is None else camera.all
     return Sight(

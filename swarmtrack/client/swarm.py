@@ -1,4 +1,4 @@
-"""A team of drones, as a planner in Python reads it."""
+"""Python client of a team of drones, for planners."""
 
 from __future__ import annotations
 
@@ -89,17 +89,17 @@ class Swarm:
 
     @property
     def drones(self) -> tuple[int, ...]:
-        """The IDs of all that live, in order."""
+        """IDs of all live drones, in order."""
         return self._heard.drones
 
     @property
     def counters(self) -> Counter[str]:
-        """What was refused, by reason; `dropped`: what came faster than it was read."""
+        """Rejected messages, by reason; `dropped`: those that came faster than they were read."""
         dropped = self._listener.dropped + self._sights.dropped + self._healths.dropped
         return self._heard.counters + Counter(dropped=dropped)
 
     def camera(self, drone_id: int) -> DroneCamera | None:
-        """A drone's lens and mounting; None while it is not known, or two processes speak as this drone."""
+        """A drone's lens and mounting; None while it is unknown, or while two processes use this ID."""
         return self._heard.camera(drone_id)
 
     def tracks(
@@ -109,11 +109,11 @@ class Swarm:
         keep: int = CLIENT_MESSAGES_KEPT,
         patience_s: float | None = CLIENT_PATIENCE_S,
     ) -> AsyncIterator[Sight]:
-        """What a drone tracks, 50 times a second by default; drone_id None: of all drones.
+        """Tracks of a drone, 50 times per second by default; drone_id None: of all drones.
 
-        keep: so many wait while the reader is busy, the oldest go; 1 for a controller that wants the newest only.
-        patience_s: raises TransportError with what to check where the drone is not heard within so long; None: waits.
-        Ends when the swarm is left.
+        keep: size of the queue while the reader is busy, the oldest are dropped; 1 for a controller that wants the
+        newest only. patience_s: raises TransportError with what to check if nothing arrives from the drone within this
+        time; None: waits. Ends when the swarm is left.
         """
         return self._read(self._sights, drone_id, keep, patience_s)
 
@@ -124,7 +124,7 @@ class Swarm:
         keep: int = CLIENT_MESSAGES_KEPT,
         patience_s: float | None = CLIENT_PATIENCE_S,
     ) -> AsyncIterator[DroneHealth]:
-        """How a drone's agent is doing, once a second; arguments as of `tracks`."""
+        """Health of a drone's agent, once per second; arguments as in `tracks`."""
         return self._read(self._healths, drone_id, keep, patience_s)
 
     async def _read(
@@ -204,7 +204,7 @@ class _Outlet(Generic[T]):
         self.closed = False
 
     async def get(self) -> T | None:
-        """None where nothing will come any more."""
+        """The next item; None after the end."""
         while not self.waiting:
             if self.closed:
                 return None

@@ -1,4 +1,4 @@
-"""Attention windows: where to look in the next frame, pixels on target first.
+"""Attention windows: the parts of the next frame that the detector looks at, chosen for pixels on target.
 
 A net that sees the whole frame shrunk sees a far drone as a few pixels, and misses it; one that sees it at full
 resolution is slow. So: small windows around what is tracked, at the frame's own resolution or enlarged, in every
@@ -30,7 +30,7 @@ FOVEA_STEP = 32
 
 
 class Window(NamedTuple):
-    """A part of the image, px, and how many pixels of input each of its pixels becomes."""
+    """A part of the image, px, and the input px per image px."""
 
     x: int
     y: int
@@ -43,7 +43,7 @@ class Window(NamedTuple):
         return self.width * self.height
 
     def cuts(self, centre: Array, size: Array, image: tuple[int, int]) -> NDArray[np.bool_]:
-        """(n,) whether boxes (n, 2), (n, 2) px of the image touch an edge of the window that is not the image's."""
+        """Whether boxes (n, 2), (n, 2) px of the image touch an edge of the window that is not the image's: (n,)."""
         low, high = centre - size / 2, centre + size / 2
         edges = np.array([self.x, self.y]), np.array([self.x + self.width, self.y + self.height]) - 1
         inner = np.array([self.x > 0, self.y > 0]), edges[1] < np.array(image) - 1
@@ -95,7 +95,7 @@ class TimeShare:
 
 
 class AttentionWindows:
-    """Which parts of each frame the net is shown.
+    """The parts of each frame that are shown to the net.
 
     whole_scale: of the whole frame in the net's input; fixed: (width, height) px of the only input the net takes, in
     which case every window has its proportions.

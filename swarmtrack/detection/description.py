@@ -1,7 +1,7 @@
-"""What a detector must know of a net: read from the file's own metadata, else recognised, else told.
+"""Description of a net: read from the file's own metadata, else recognised, else configured.
 
-Four sources, the surest first: what a config declares, our own `swarmtrack.*` metadata, those that Ultralytics writes,
-and the shapes of the outputs. A net that none of them explains is refused in a sentence that says what was seen.
+Four sources, by priority: what a config declares, our own `swarmtrack.*` metadata, those that Ultralytics writes, and
+the shapes of the outputs. A net that none of them explains is refused in a sentence that names what was found.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Shape = tuple[int, ...]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declared:
-    """What a config says of a net, over what the net says of itself. None or empty: nothing."""
+    """A config's description of a net, which overrides the net's own. None or empty: not declared."""
 
     head: str | None = None
     classes: tuple[str, ...] = ()
@@ -70,7 +70,7 @@ class Description:
 
 
 class Trial(NamedTuple):
-    """What the net answered to an empty image: input (width, height) px, and its outputs' shapes, in their order."""
+    """The net's answer to an empty image: input (width, height) px, and the shapes of its outputs, in order."""
 
     input_size: tuple[int, int]
     shapes: tuple[Shape, ...]
@@ -201,7 +201,9 @@ def _is_centernet(shapes: Sequence[Shape]) -> bool:
 
 
 def class_count(head: str, shapes: Sequence[Shape]) -> int | None:
-    """How many classes the outputs (of these shapes) of a net with this head tell apart; None: they are not of such."""
+    """Number of classes that a net with this head and outputs of these shapes distinguishes; None: they do not fit
+    the head.
+    """
     if head == "centernet":
         return 1 if _is_centernet(shapes) else None
     if not shapes or any(len(shape) != 3 or shape[0] != 1 for shape in shapes):

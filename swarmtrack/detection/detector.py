@@ -1,4 +1,4 @@
-"""The detector as the agent sees it: frames in, detections out, one call at a time from one worker thread."""
+"""The detector as the agent uses it: frames in, detections out, one call at a time from one worker thread."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ LEAST_DETECTION_SCORE = min(motion_cue.MOTION_LEAST_SCORE, second_stage.SECOND_S
 
 
 class Percentiles(NamedTuple):
-    """Of one stage, s. Zero before the first frame."""
+    """Durations of one stage, s. Zero before the first frame."""
 
     p50: float
     p95: float
@@ -61,8 +61,9 @@ NO_BOXES = np.empty((0, 6))
 
 
 class Look(NamedTuple):
-    """One look of the detector: at which windows of a frame, none where it cannot be used, what to compare it with, and
-    where tracks are expected (n, 6), as `Expectation.boxes` says."""
+    """Plan for one frame: the windows to look at, none where the frame cannot be used; the earlier frame to compare
+    it with; the expected tracks (n, 6), as in `Expectation.boxes`.
+    """
 
     frame: Frame
     windows: tuple[Window, ...]
@@ -169,27 +170,27 @@ class Detector:
 
     @property
     def path(self) -> Path:
-        """Of the model's file."""
+        """Path of the model's file."""
         return self._path
 
     @property
     def net(self) -> Net:
-        """What looks, without counting."""
+        """The net itself, without counters."""
         return self._net
 
     @property
     def description(self) -> Description:
-        """What is known of the net, and who said it."""
+        """The net's description, with its source."""
         return self._net.description
 
     @property
     def second_stage(self) -> SecondStage | None:
-        """What looks at candidates again."""
+        """The second stage, if any."""
         return self._second
 
     @property
     def box_width(self) -> BoxWidth | None:
-        """How wide the boxes of its detections are beside drones; None where nobody says it."""
+        """Model of the widths of its boxes; None if unknown."""
         if self._second is None or not self._second.tells_spans:
             return self.description.box_width
         drawn = self._drawn
@@ -197,12 +198,13 @@ class Detector:
 
     @property
     def providers(self) -> tuple[str, ...]:
-        """Of ONNX Runtime, those that really run the net, by short name, the first one first."""
+        """Providers of ONNX Runtime that really run the net, by short name, the first one first."""
         return runs_on(self._session)
 
     def plan(self, frame: Frame, expectation: Expectation | None = None) -> Look:
-        """Where to look in the next frame, and what to compare it with: quick, and to be asked where `expectation` may
-        be. Without one: at the whole frame, and not at what moved."""
+        """Plan the look at the next frame: quick, to be called where `expectation` may be. Without one: the whole
+        frame, without the motion cue.
+        """
         image = frame.image
         if _unusable(image):
             return Look(frame, (), None)
@@ -225,7 +227,7 @@ class Detector:
     def detect(self, look: Look) -> Detections | None:
         """All drones in the windows of a planned look, best first, in pixels of the image as given.
 
-        None where it could not look (counted, and said in `status`): that is not the same as seeing nobody, which
+        None where the detector could not look (counted, and reported in `status`): that is not an empty scan, which
         would count against every track.
         """
         frame, windows = look.frame, look.windows
@@ -326,7 +328,7 @@ class Detector:
 
     @property
     def latency(self) -> Latency:
-        """How long the last frames took."""
+        """Durations of the last frames."""
         seconds = self._seconds[: min(self._frames, LATENCY_FRAMES)].copy()
         if len(seconds) == 0:
             seconds = np.zeros((1, 3))

@@ -1,4 +1,4 @@
-"""What the detector asks before it looks: where tracks are expected, and how the camera has turned since a frame."""
+"""What a detector needs to plan a look: expected boxes of tracks, and the camera's rotation since a frame."""
 
 from __future__ import annotations
 
@@ -20,20 +20,21 @@ PixelMapping = Callable[[Array], Array]
 
 
 class Expectation(Protocol):
-    """Answers for frames by their own stamps [s]; asking changes nothing."""
+    """Expected boxes and pixels for frames by their own stamps [s]; queries change nothing."""
 
     def boxes(self, exposed: float) -> Array:
-        """Where the tracks lie in a frame, as `AttentionWindows.next` wants them: (n, 6) px of the image as the camera
-        gives it."""
+        """Expected boxes of the tracks in a frame, in the form of `AttentionWindows.next`: (n, 6) px of the image
+        as the camera gives it.
+        """
         ...
 
     def pixels_at(self, then: float, now: float) -> PixelMapping | None:
-        """From pixels of a frame exposed now to those of one exposed then; None where nobody can tell."""
+        """Map from pixels of a frame exposed now to those of one exposed then; None if unknown."""
         ...
 
 
 class PerceivedExpectation:
-    """By the tracks and the gyro of one drone, for one of its cameras."""
+    """Expectation from the tracks and the gyro of one drone, for one of its cameras."""
 
     def __init__(self, perceived: DetectorView, camera: int = 0) -> None:
         """camera: for the frames of which of the drone's, by its place in the config."""
@@ -52,7 +53,7 @@ class PerceivedExpectation:
         return np.asarray(boxes[np.isfinite(boxes[:, :4]).all(axis=1)])
 
     def pixels_at(self, then: float, now: float) -> PixelMapping | None:
-        """By the gyro alone."""
+        """The map by the gyro alone."""
         gyro, camera, offset = self._perceived.gyro, self._lens, self._offset_s
         turn = rotation_between(gyro.orientation(now + offset), gyro.orientation(then + offset))
         if camera.fx * math.sqrt(turn.variance) > BLURRED_PX:

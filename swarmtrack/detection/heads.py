@@ -26,8 +26,9 @@ SAME_DRONE = 0.5  # of its longer side: centres in two looks at one drone that a
 
 
 class Candidates(NamedTuple):
-    """Best first. centre (n, 2) and size (n, 2) in pixels of the network's input, score (n,) in 0…1, label (n,): which
-    class."""
+    """Candidates, best first. centre (n, 2) and size (n, 2) in pixels of the network's input, score (n,) in 0…1,
+    label (n,): class.
+    """
 
     centre: Array
     size: Array
@@ -114,7 +115,9 @@ READ: dict[str, Head] = {
 
 
 def read(outputs: Sequence[Output], net: Description, threshold: float, input_size: InputSize) -> Candidates:
-    """All that scores at least `threshold`, best first; `ModelError` where the outputs are not of the net's head."""
+    """Candidates that score at least `threshold`, best first; `ModelError` where the outputs are not of the net's
+    head.
+    """
     shapes = [output.shape for output in outputs]
     if class_count(net.head, shapes) is None:
         raise ModelError(f"head {net.head}: outputs have shapes {shapes}, which are not such a net's")
@@ -138,7 +141,7 @@ def _best_first(centre: Output, size: Output, score: Output, label: NDArray[np.i
 
 
 def distinct(candidates: Candidates, *, limit: int, iou: float = 0.55, distance: float = 0.3) -> list[int]:
-    """Rows of the best of those that mean the same thing, at most `limit`.
+    """Rows of the best of each group of duplicates, at most `limit`.
 
     Two do if their boxes overlap by more than `iou`, or if their centres are closer than `distance` times the longer
     side of the smaller: boxes of small drones rarely overlap enough when a peak splits in two.
@@ -158,18 +161,19 @@ def distinct(candidates: Candidates, *, limit: int, iou: float = 0.55, distance:
 
 
 def suppress(candidates: Candidates, *, limit: int) -> Candidates:
-    """What one look found, each thing once."""
+    """Candidates of one look without duplicates."""
     return candidates.select(distinct(candidates, limit=limit))
 
 
 def together(looks: Sequence[Candidates]) -> Candidates:
-    """What several looks at one image found, best first; a drone may be there as often as it was looked at."""
+    """Candidates of several looks at one image, best first; a drone may appear once per look."""
     columns = (np.concatenate(column) for column in zip(*looks, strict=True))
     found = Candidates(*columns)
     return found.select(np.argsort(-found.score, kind="stable"))
 
 
 def of_several_looks(found: Candidates, *, limit: int) -> list[int]:
-    """Rows of what several looks found together, each drone once: by the distance of centres rather than by boxes,
-    which another resolution makes larger or smaller."""
+    """Rows of the merged candidates of several looks, each drone once: by the distance of centres rather than by
+    boxes, which another resolution makes larger or smaller.
+    """
     return distinct(found, limit=limit, distance=SAME_DRONE)

@@ -1,4 +1,4 @@
-"""What is written in a model's file beside the net: text by key, which anybody may have written."""
+"""Metadata in a model's file: text by key, of any origin."""
 
 from __future__ import annotations
 
@@ -31,8 +31,9 @@ class Metadata:
         }
 
     def entry(self, key: str, parse: Callable[[str], T], expected: str, default: T | None = None) -> T:
-        """What an entry says; where it is missing, the default. Raises `ModelError` where it cannot be read, or is
-        missing and has none."""
+        """Value of an entry; where it is missing, the default. Raises `ModelError` where it cannot be read, or is
+        missing and has none.
+        """
         if key not in self.entries:
             if default is not None:
                 return default
@@ -124,7 +125,7 @@ def names(text: str) -> tuple[str, ...]:
 
 
 def box_width_of(path: str, written: Mapping[str, str]) -> BoxWidth | None:
-    """What our metadata say of the widths of boxes; None where they say nothing. Raises `ModelError`."""
+    """Model of the widths of boxes in our metadata; None without one. Raises `ModelError`."""
     text = written.get(f"{PREFIX}box_width")
     if text is None:
         return None

@@ -44,28 +44,28 @@ T = TypeVar("T")
 
 
 def model_path(model: str | Path) -> Path:
-    """The file of a shipped model's name, or the path itself."""
+    """Path of a shipped model's file by name, or the path itself."""
     if str(model) in SHIPPED:
         return Path(str(resources.files("swarmtrack.detection") / "models" / f"{model}.onnx"))
     return Path(model)
 
 
 def second_stage_path(model: str | Path) -> Path:
-    """Of a second stage, likewise."""
+    """Path of a second stage's file, likewise."""
     if str(model) in SHIPPED:
         return Path(str(resources.files("swarmtrack.detection") / "models" / "second_stage.onnx"))
     return Path(model)
 
 
 def metadata_of(path: Path) -> Mapping[str, str]:
-    """What is written in a model's file beside the net."""
+    """Metadata in a model's file."""
     session = open_session(path, 1, ("cpu",))
     written: Mapping[str, str] = session.get_modelmeta().custom_metadata_map
     return written
 
 
 def cache_folder() -> Path:
-    """Where engines that a provider compiles are kept: minutes on a Jetson, once and not at every start."""
+    """Folder of the engines that a provider compiles: minutes on a Jetson, once and not at every start."""
     base = os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     return Path(os.path.expanduser(base), "swarmtrack", "engines")
 
@@ -121,15 +121,14 @@ def runs_on(session: ort.InferenceSession) -> tuple[str, ...]:
 
 
 def trial_limit(session: ort.InferenceSession) -> float:
-    """s for the first answer of a session."""
+    """Time limit [s] for the first answer of a session."""
     return (
         TRIAL_S if runs_on(session) == ("cpu",) else COMPILING_S
     )  # accelerators compile it first, some for minutes
 
 
 def first_answer(path: Path, ask: Callable[[ort.RunOptions], T], *, limit_s: float, what: str) -> T:
-    """What a net from anybody answers when it is asked for the first time; `ModelError` where it cannot, or runs for
-    ever. what: it is asked."""
+    """First answer of an untrusted net; `ModelError` where it fails or does not end. what: the input."""
     options = ort.RunOptions()
     ending = threading.Timer(limit_s, setattr, (options, "terminate", True))
     ending.daemon = True

@@ -57,7 +57,7 @@ MOST_KEPT = 64
 
 
 class Comparison(NamedTuple):
-    """An earlier picture, and where the directions of a frame's pixels lie in it."""
+    """An earlier image, and the positions in it of the directions of a frame's pixels."""
 
     grey: Image
     pixels_then: PixelMapping
@@ -69,14 +69,15 @@ class _Kept(NamedTuple):
 
 
 class MotionCue:
-    """Keeps what it needs of the last frames, and no more."""
+    """Keeps the necessary part of the last frames."""
 
     def __init__(self) -> None:
         self._kept: deque[_Kept] = deque(maxlen=MOST_KEPT)
 
     def compare(self, t: float, expectation: Expectation) -> Comparison | None:
-        """What a frame exposed at t is compared with; None where no frame is of the right age, or the gyro cannot tell
-        how the camera has turned since. Changes nothing."""
+        """The comparison for a frame exposed at t; None where no frame is of the right age, or the rotation in
+        between is unknown. Changes nothing.
+        """
         earlier = None
         for kept in self._kept:
             if earlier is not None and kept.t > t - MOTION_FRAMES_APART_S:

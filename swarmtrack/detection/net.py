@@ -32,7 +32,7 @@ class Seconds(NamedTuple):
 
 
 class Net:
-    """An ONNX session and how to talk to it. A net that cannot be understood raises `ModelError` here."""
+    """An ONNX session with its pre- and postprocessing. Raises `ModelError` for an unsupported net."""
 
     def __init__(self, path: Path, session: ort.InferenceSession, declared: Declared, clock: Clock) -> None:
         self._path = path
@@ -65,12 +65,12 @@ class Net:
         return found, Seconds(prepared - started, answered - prepared, self._clock.now() - answered)
 
     def input_of(self, image: Image, scale: float = 1.0) -> Output:
-        """(1, 3, h, w): what it is fed of an image."""
+        """Network input (1, 3, h, w) of an image."""
         height, width = image.shape[:2]
         return self._blob(self._letterbox(width, height, scale).to_input(image, self.description.pad_value))
 
     def scale_of(self, width: int, height: int, wanted: float) -> float:
-        """Input px per px of an image of this size: as wanted, where the net takes any size."""
+        """Input px per px of an image of this size: as configured, where the net takes any size."""
         return self._letterbox(width, height, wanted).scale_x
 
     def _drones(self, found: Candidates, limit: int) -> Candidates:

@@ -68,7 +68,7 @@ class _Answer(NamedTuple):
 
 
 class SecondStage:
-    """A classifier's session and how to talk to it. One that cannot be understood raises `ModelError` here."""
+    """A classifier's session with its pre- and postprocessing. Raises `ModelError` for an unsupported one."""
 
     def __init__(
         self, path: Path, threads: int = 1, providers: Sequence[str] = ("cpu",), cache: Path | None = None
@@ -99,8 +99,9 @@ class SecondStage:
         )
 
     def classify(self, image: Image, found: Candidates, drawn: BoxWidth) -> SecondLook:
-        """Candidates (n) in an image, best first, and how the detector draws boxes. In a crowd the last are not asked
-        about: nothing speaks for them or against."""
+        """Classify candidates (n) in an image, best first, given the detector's model of box widths. In a crowd the
+        last ones are left out, with log odds of 0.
+        """
         log_odds, resize = np.zeros(len(found.score)), np.ones(len(found.score))
         if len(log_odds):
             centre, size = found.centre[:SECOND_STAGE_MOST_BOXES], found.size[:SECOND_STAGE_MOST_BOXES]
@@ -117,8 +118,10 @@ class SecondStage:
         return SecondLook(score, resize)
 
     def likeness(self, score: Array) -> Array:
-        """Of scores (n,) of both stages: how much it looks like a drone, where that is to say who is one. A detection
-        is shown on a suspicion, a track is confirmed on more: the log odds are lower by what the file calls doubt."""
+        """Probability of being a drone, from scores (n,) of both stages, for the confirmation of tracks. A
+        detection is shown on a suspicion, a track is confirmed on more: the log odds are lower by the doubt in
+        the file.
+        """
         return probability(logit(score) - self._doubt)
 
     def _look(self, image: Image, centre: Array, sides: Array) -> _Answer:

@@ -1,7 +1,7 @@
-"""How two replays of one flight differ: which tracks they share, how far apart these are, who is taken for whom.
+"""Difference of two replays of one flight: shared tracks, their distances, and different names.
 
 Scans are paired by the number of their frame, and in each the confirmed tracks one to one within `SAME_TRACK_PX`, the
-nearest sum of distances, as many as possible.
+smallest sum of distances, as many as possible.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class ReplayDiff:
     course: tuple[ScanDiff, ...]
 
     def as_record(self) -> dict[str, Any]:
-        """For JSON, without the course."""
+        """The difference as a record for JSON, without the time series."""
         return {
             "scans": self.scans,
             "scans_only_in_one": self.only_one,
@@ -87,7 +87,7 @@ class ReplayDiff:
 
 
 def seen_scans(reports: Iterable[ScanReport], begin: float) -> list[SeenScan]:
-    """begin [s]: of the recording, on the agent's clock."""
+    """Confirmed tracks per scan. begin [s]: of the recording, on the agent's clock."""
     return [
         SeenScan(
             report.sequence,
@@ -109,7 +109,7 @@ def seen_scans(reports: Iterable[ScanReport], begin: float) -> list[SeenScan]:
 
 
 def compare(one: Iterable[SeenScan], other: Iterable[SeenScan]) -> ReplayDiff:
-    """Two lists of scans of the same recording."""
+    """Compare two lists of scans of the same recording."""
     ones, others = {scan.sequence: scan for scan in one}, {scan.sequence: scan for scan in other}
     common = [sequence for sequence in ones if sequence in others]
     course, squares, unknown = [], [], 0

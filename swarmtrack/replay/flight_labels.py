@@ -45,7 +45,7 @@ NEAREST_LABELLED_M = 0.2  # m
 
 
 class Body(NamedTuple):
-    """What is drawn a box around: a cuboid of span x span x height, level with the drone. m"""
+    """Cuboid around which a box is drawn: span x span x height, level with the drone. m"""
 
     span: float
     height: float
@@ -78,7 +78,7 @@ class LabelledPicture(NamedTuple):
 
 @dataclass(slots=True)
 class Told:
-    """Where a teammate said it was, on the clock of whoever heard it."""
+    """Positions reported by a teammate, on the receiver's clock."""
 
     t: list[float] = field(default_factory=list)
     position: list[Array] = field(default_factory=list)
@@ -91,7 +91,7 @@ class Told:
             self.sigma.append(sigma)
 
     def at(self, t: float) -> TeamPose | None:
-        """On the line between two reports; its attitude is not told, and taken to be level."""
+        """Interpolation between two reports; the attitude is not reported, and taken to be level."""
         k = bisect_left(self.t, t)
         if k in (0, len(self.t)) or self.t[k] - self.t[k - 1] > REPORT_GAP:
             return None
@@ -105,7 +105,7 @@ class Told:
 
 @dataclass(slots=True)
 class RecordedDrone:
-    """What a recording says of its drone and of the others. clock_offset: common time minus the drone's clock, s."""
+    """A recording's data on its drone and the others. clock_offset: common time minus the drone's clock, s."""
 
     recording: Recording
     settings: FlightSettings
@@ -120,13 +120,13 @@ class RecordedDrone:
         return self.recording.drone_id
 
     def pose_at(self, common: float) -> TeamPose | None:
-        """Of this drone at a time common to all."""
+        """Pose of this drone at a time common to all."""
         t = common - self.clock_offset
         return self.ego.at(t) if t < self.newest + POSE_GAP else None
 
 
 class FlightLabels:
-    """Pictures with labels out of recordings. skipped: pictures that were left out, by why."""
+    """Labelled pictures from recordings. skipped: number of pictures left out, by reason."""
 
     def __init__(self, recordings: Sequence[Recording], body: Body) -> None:
         self._body = body
@@ -203,7 +203,7 @@ def read_drones(recordings: Sequence[Recording]) -> list[RecordedDrone]:
 def pose_of(
     drone_id: int, observer: RecordedDrone, flown: Sequence[RecordedDrone], common: float
 ) -> TeamPose | None:
-    """Of a teammate: by its own recording, else by what it told the observer. None where neither says it."""
+    """Pose of a teammate: from its own recording, else from its reports to the observer. None without either."""
     for one in flown:
         if one.drone_id == drone_id and (pose := one.pose_at(common)) is not None:
             return pose

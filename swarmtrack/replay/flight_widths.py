@@ -39,13 +39,13 @@ TRUTH_GAP = 0.5
 
 @dataclass(slots=True)
 class TruePath:
-    """Where a drone was in truth, by the clock that all drones of a simulation have."""
+    """True trajectory of a drone, on the simulation's common clock."""
 
     t: list[float] = field(default_factory=list)
     pose: list[Pose] = field(default_factory=list)
 
     def at(self, t: float) -> TeamPose | None:
-        """Between two samples."""
+        """Interpolation between two samples."""
         k = bisect_left(self.t, t)
         if k in (0, len(self.t)) or self.t[k] - self.t[k - 1] > TRUTH_GAP:
             return None
@@ -63,8 +63,9 @@ class TruePath:
 
 
 class FlightWidths:
-    """All recordings of one flight. skipped: boxes that were left out, by why. span: of the teammates, m; None: as
-    their configs say."""
+    """All recordings of one flight. skipped: number of boxes left out, by reason. span: of the teammates, m; None:
+    from their configs.
+    """
 
     def __init__(self, recordings: Sequence[Recording], span: float | None) -> None:
         self.skipped: Counter[str] = Counter()
@@ -78,12 +79,12 @@ class FlightWidths:
 
     @property
     def span(self) -> float | None:
-        """m: as told, else as the first config that knows it says."""
+        """Span, m: as given, else from the first config that has it."""
         spans = (drone.settings.config.team.airframe_span_m for drone in self._drones)
         return self._span or next((span for span in spans if span is not None), None)
 
     def widths(self) -> list[Widths]:
-        """Of each teammate that each observer saw."""
+        """Widths of each teammate's boxes in each observer's images."""
         span = self.span
         assert span is not None
         rows: dict[tuple[int, int], list[tuple[float, float, float]]] = defaultdict(list)

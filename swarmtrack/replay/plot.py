@@ -1,4 +1,4 @@
-"""Draws how two replays differ along the flight."""
+"""Plot of the difference of two replays along the flight."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PLOT_COLOURS = ("#e69f00", "#56b4e9", "#009e73", "#d55e00", "#cc79a7", "#0072b2"
 
 
 def plot(diffs: Mapping[int, ReplayDiff], path: Path, title: str) -> None:
-    """A row a question, a colour a drone. Raises RecordingError where the file cannot be written."""
+    """One row per figure, one colour per drone. Raises RecordingError where the file cannot be written."""
     figure, (apart, counts, names) = plt.subplots(
         3, 1, sharex=True, figsize=(9.0, 7.0), height_ratios=(2, 1, 1), layout="constrained"
     )

@@ -1,4 +1,4 @@
-"""The pictures of a recording as the frames that they were."""
+"""Frames of a recording, with their pictures."""
 
 from __future__ import annotations
 
@@ -12,14 +12,16 @@ from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 
 
 class RecordedFrames:
-    """Told of messages of `topics`, in their order. cameras: how many the drone had."""
+    """Takes messages of `topics`, in order. cameras: number of the drone's."""
 
     def __init__(self, cameras: int) -> None:
         self.topics = frozenset({FRAMES_TOPIC, *(image_topic(k) for k in range(cameras))})
         self._exact_times: dict[str, Any] | None = None
 
     def decode(self, topic: str, data: bytes) -> Frame | None:
-        """First come a frame's exact times, then its picture; None where that is none. Raises RecordingError."""
+        """The frame of a picture message, after the message of its exact times; None for other messages. Raises
+        RecordingError.
+        """
         try:
             return self._take(topic, data)
         except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:

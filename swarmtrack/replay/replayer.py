@@ -38,7 +38,9 @@ Watcher = Callable[[TrackList], None]
 
 
 class Published(NamedTuple):
-    """What one life of an agent published in a replay, the k-th as number k + 1; None: bit for bit as in flight."""
+    """Messages that one run of an agent published in a replay, the k-th as number k + 1; None: bit for bit as in
+    flight.
+    """
 
     messages: int
     changed: Sequence[TrackList] | None
@@ -75,7 +77,7 @@ class _Compared:
 
 @dataclass(slots=True)
 class Replayed:
-    """What came of a replay. Times of `scans` and `recorded_scans` are those of the agent's clock, from `begin` on."""
+    """Result of a replay. Times of `scans` and `recorded_scans` are those of the agent's clock, from `begin` on."""
 
     begin: float = 0.0
     seconds: float = 0.0
@@ -101,7 +103,7 @@ class Replayed:
 
     @property
     def exact(self) -> bool:
-        """Whether everything that was recorded came out again, bit for bit."""
+        """Whether all recorded results were reproduced bit for bit."""
         streams = (self.scans_compared, self.answers_compared, self.states_compared, self.setpoints_compared)
         return self.inputs_lost == 0 and all(stream.same == stream.recorded for stream in streams)
 
@@ -151,7 +153,7 @@ class Replayer:
         """By camera, and by the frame's number."""
 
     def run(self) -> Replayed:
-        """Raises RecordingError where nothing of it can be replayed."""
+        """Replay the recording. Raises RecordingError where none of it can be replayed."""
         if self._recording.kind != "drone":
             raise RecordingError(
                 f"{self._recording.folder}: is a recording of a swarm, expected an agent's recording"

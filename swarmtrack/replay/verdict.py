@@ -1,4 +1,4 @@
-"""The verdict on a recorded simulated flight, judged again: by the judge of `sim`, with the tracks of a replay."""
+"""Verdict on a recorded simulated flight, computed again by the judge of `sim` with the tracks of a replay."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Judged:
     numbers: dict[tuple[int, str], list[int]]
 
     def unreplayed(self, answers: Answers) -> int:
-        """How many of the track messages that were heard did not come out of the replay."""
+        """Number of received track messages that the replay did not produce."""
         return sum(
             not 1 <= number <= answers.get(life, NOTHING_PUBLISHED).messages
             for life, numbers in self.numbers.items()
@@ -70,15 +70,16 @@ class Judged:
 
     @property
     def differences(self) -> list[str]:
-        """What the two verdicts do not have in common, as `key: recorded, now`."""
+        """Differences of the two verdicts, as `key: recorded, now`."""
         if self.recorded is None:
             return ["the recording has no verdict: the flight was cut off"]
         return list(_differences("", self.recorded, self.report.as_record()))
 
 
 def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged:
-    """answers None: all as it was heard. tracker: what flew in the replay. Raises RecordingError where the truth cannot
-    be made again."""
+    """answers None: all as received in flight. tracker: the one in the replay. Raises RecordingError where the
+    truth cannot be reproduced.
+    """
     plan = recording.attached(FLIGHT_PLAN)
     layers = Layers([Layer(recording.folder / FLIGHT_PLAN, "", plan["files"])], plan["files"])
     detail = Detail(plan.get("detail", Detail.FULL))

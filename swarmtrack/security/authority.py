@@ -56,7 +56,7 @@ _TEAM = re.compile("[A-Za-z0-9_-]{1,64}")
 
 @dataclass(frozen=True)
 class Issued:
-    """One certificate in force. signing_key: the drone's public Ed25519 key in the roster; None for others."""
+    """A valid certificate. signing_key: the drone's public Ed25519 key in the roster; None for others."""
 
     name: str
     certificate: x509.Certificate
@@ -74,9 +74,10 @@ class Issued:
 
 @dataclass(frozen=True)
 class KeyChanges:
-    """What `issue`, `renew` and `revoke` did. folders: made or changed, by name.
+    """Result of `issue`, `renew` and `revoke`. folders: created or changed, by name.
 
-    outdated: who else must get the new roster, because without it they would not hear, or would still hear, somebody.
+    outdated: names of others that must get the new roster, because without it they would reject a new member or accept
+    a revoked one.
     """
 
     folders: dict[str, Path]
@@ -85,7 +86,7 @@ class KeyChanges:
 
 
 def create_authority(folder: Path, team: str, now: datetime, force: bool = False) -> Authority:
-    """A new CA. Raises KeysError, also where there is one already: its team would be locked out."""
+    """Create a CA. Raises KeysError, also where there is one already: its team would be locked out."""
     if not _TEAM.fullmatch(team):
         raise KeysError(f"--team: found {team!r}, expected 1 to 64 letters, digits, '-' or '_'")
     if (folder / CA_KEY).exists() and not force:
@@ -114,7 +115,7 @@ def create_authority(folder: Path, team: str, now: datetime, force: bool = False
 
 
 def open_authority(folder: Path) -> Authority:
-    """Raises KeysError."""
+    """Open a CA's folder. Raises KeysError."""
     if not (folder / CA_KEY).exists():
         raise KeysError(f"{folder}: holds no {CA_KEY}, expected the folder of `swarmtrack keys init`")
     key = read_private_key(folder / CA_KEY)
@@ -125,7 +126,7 @@ def open_authority(folder: Path) -> Authority:
 
 
 class Authority:
-    """The CA's folder, opened. Get one from `create_authority` or `open_authority`."""
+    """The opened folder of a CA. Get one from `create_authority` or `open_authority`."""
 
     def __init__(
         self, folder: Path, key: ec.EllipticCurvePrivateKey, certificate: x509.Certificate, roster: Roster
@@ -175,7 +176,7 @@ class Authority:
         return KeyChanges(folders, *self._replace_roster(roster, folders))
 
     def renew(self, wanted: Iterable[str], now: datetime, *, days: int = CERTIFICATE_DAYS) -> KeyChanges:
-        """New certificates for the keys that are out there: only `NAME.pem` is to be copied. Raises KeysError."""
+        """Issue new certificates for existing keys: only `NAME.pem` is to be copied. Raises KeysError."""
         folders = {name: self._folder / name for name in wanted}
         old = {name: self._certificate_in_force(name) for name in folders}
         for name, folder in folders.items():
@@ -189,7 +190,7 @@ class Authority:
         return KeyChanges(folders, self.roster, ())
 
     def revoke(self, name: str) -> KeyChanges:
-        """Out of the team: whoever has the new roster does not hear it any more. Raises KeysError."""
+        """Remove names from the team: processes with the new roster reject them. Raises KeysError."""
         certificate = self._folder / ISSUED / certificate_file(name)
         if name not in self.roster.names:
             raise KeysError(
@@ -199,7 +200,7 @@ class Authority:
         return KeyChanges({}, *self._replace_roster(self.roster.without(name), {}))
 
     def issued(self) -> list[Issued]:
-        """All certificates in force, drones first. Raises KeysError."""
+        """All valid certificates, drones first. Raises KeysError."""
         found = []
         for name in self.roster.names:
             public_key = (

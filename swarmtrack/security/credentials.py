@@ -1,4 +1,4 @@
-"""What a process needs to speak on its team's network. Holds no secret itself; `loading` makes it from files."""
+"""Credentials of a process on its team's network. Contains no secret itself; `loading` creates it from files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from swarmtrack.security.roster import Roster
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Credentials:
-    """name: as in the certificate. ca, certificate, key: PEM files, for TLS. expires: the certificate's last moment.
+    """name: as in the certificate. ca, certificate, key: PEM files, for TLS. expires: end of the certificate's
+    validity.
 
     sign: makes our Ed25519 signature; None for monitors and routers, who announce nothing.
     verify(drone_id, data, signature): whether that drone of the roster signed data.

@@ -1,4 +1,4 @@
-"""Key files and the cryptography on them. Imports `cryptography`: only for those who have keys."""
+"""Key files and the cryptography on them. Imports `cryptography`: only for processes with keys."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def signing_key_file(name: str) -> str:
 
 
 def read_file(path: Path, expected: str) -> bytes:
-    """Raises KeysError."""
+    """Read a file. Raises KeysError."""
     try:
         with path.open("rb") as file:
             return file.read(MAX_ROSTER_BYTES)
@@ -55,7 +55,7 @@ def read_file(path: Path, expected: str) -> bytes:
 
 
 def read_certificate(path: Path) -> x509.Certificate:
-    """Raises KeysError."""
+    """Read a certificate. Raises KeysError."""
     data = read_file(path, "a certificate, PEM")
     try:
         return x509.load_pem_x509_certificate(data)
@@ -66,7 +66,7 @@ def read_certificate(path: Path) -> x509.Certificate:
 
 
 def read_private_key(path: Path) -> PrivateKey:
-    """P-256 or Ed25519. Raises KeysError, also where others than the owner may read the file."""
+    """Read a P-256 or Ed25519 key. Raises KeysError, also for a file that others than its owner may read."""
     data = read_file(path, "a private key")
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
@@ -85,7 +85,7 @@ def read_private_key(path: Path) -> PrivateKey:
 
 
 def read_signed_roster(folder: Path, ca: x509.Certificate) -> Roster:
-    """The roster of a folder, by word of the CA. Raises KeysError."""
+    """Read the roster of a folder and verify the CA's signature. Raises KeysError."""
     path = folder / ROSTER
     data = read_file(path, "the team's roster")
     signature = read_file(folder / ROSTER_SIGNATURE, "the roster's signature")
@@ -113,7 +113,7 @@ def common_name(certificate: x509.Certificate) -> str:
 
 
 def write_file(path: Path, data: bytes, mode: int) -> None:
-    """All of it or nothing, and never for a moment readable by more than `mode` says. Raises KeysError."""
+    """Write atomically, and never for a moment readable by more than `mode` allows. Raises KeysError."""
     unfinished = path.with_name(f".{path.name}.new")
     try:
         unfinished.unlink(missing_ok=True)

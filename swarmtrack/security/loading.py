@@ -1,4 +1,4 @@
-"""A folder as `swarmtrack keys issue` made it, read and checked, so that what would fail in silence is said at once."""
+"""Loading of a folder made by `swarmtrack keys issue`, with checks, so that silent failures are reported at once."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def load_credentials(folder: Path, name: str, utc_s: float) -> Credentials:
 
 
 def find_name(folder: Path, *roles: Role) -> str:
-    """Whose keys a folder holds, one of the roles. Raises KeysError."""
+    """Name whose keys are in a folder, of one of the roles. Raises KeysError."""
     wanted = " or ".join(roles)
     found = [name for name in _names_in(folder) if names.role(name) in roles]
     if len(found) != 1:

@@ -25,7 +25,7 @@ def drone(drone_id: int) -> str:
 
 
 def role(name: str) -> Role | None:
-    """What the bearer of a name may do; None where it is no name of ours."""
+    """Role of a name; None for a foreign one."""
     match = _NAME.fullmatch(name)
     if match is None or (match["id"] is not None and int(match["id"]) > MAX_DRONE_ID):
         return None
@@ -33,12 +33,12 @@ def role(name: str) -> Role | None:
 
 
 def drone_id(name: str) -> int:
-    """`drone-3` is 3; only for the names of drones."""
+    """ID of `drone-3`: 3; only for the names of drones."""
     return int(name.removeprefix(f"{Role.DRONE}-"))
 
 
 def from_user(text: str) -> str:
-    """A name as people write it: `3` means `drone-3`. Raises KeysError."""
+    """A name from user input: `3` means `drone-3`. Raises KeysError."""
     name = drone(int(text)) if re.fullmatch("[1-9][0-9]{0,5}", text, re.ASCII) else text
     if role(name) is None or name == Role.ROUTER:
         raise KeysError(

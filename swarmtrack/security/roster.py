@@ -1,4 +1,4 @@
-"""The roster: who is in the team, and whose signature is whose. A small TOML file that the CA signs."""
+"""The roster: members of the team and their public keys. A small TOML file that the CA signs."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Roster:
         return replace(self, drones={**self.drones, drone_id: public_key})
 
     def with_others(self, name: str) -> Roster:
-        """With a monitor or a router."""
+        """Whether the team has monitors or routers."""
         if name in self.names:
             return self
         if names.role(name) == Role.MONITOR:
@@ -64,7 +64,7 @@ class Roster:
 
 
 def read_roster(data: bytes, where: str) -> Roster:
-    """Raises KeysError. Only for bytes whose signature was checked: the words are for a file that was hand-made."""
+    """Parse a roster whose signature was checked. Raises KeysError, worded for a file edited by hand."""
     try:
         table = tomllib.loads(data.decode())
         roster = Roster(

@@ -1,8 +1,8 @@
-"""A roster or a certificate that is copied here while an agent flies: read again once it has changed.
+"""Reload of a roster or certificate that is copied to an agent in flight.
 
-Whoever was revoked is a member for as long as others have an old roster, and a restart in the air costs a drone its
-start. So the folder's files are looked at now and then. The CA has signed the roster, and its number only rises: what
-is half copied, signed by somebody else or older is not taken, and that is said once.
+A revoked drone remains a member for all drones with an old roster, and a restart in the air costs a drone its start.
+So the folder's files are checked now and then. The CA has signed the roster, and its number only rises: a file that is
+half copied, signed by another key or older is rejected, with one log line.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ ROSTER_PERIOD_S: Final = 2.0
 
 
 class RosterWatch:
-    """Of the folder that `credentials` were read from."""
+    """Watch of the folder that `credentials` were read from."""
 
     def __init__(self, folder: Path, credentials: Credentials, clock: Clock) -> None:
         self._folder = folder
@@ -35,7 +35,7 @@ class RosterWatch:
         self._seen = self._look()
 
     def news(self) -> Credentials | None:
-        """What the files say now, if that is newer than what they said last. Blocks for as long as files are read."""
+        """Content of the files, if newer than the last one. Blocks while files are read."""
         look = self._look()
         if look == self._seen:
             return None
