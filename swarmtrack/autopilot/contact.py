@@ -42,7 +42,7 @@ class Contact:
     reconnects: int = 0
 
 
-class News:
+class RepeatLimiter:
     """Logger that repeats the same line at most every LINK_NEWS_PERIOD_S seconds, so that a flapping link does not flood the
     log.
     """

@@ -14,7 +14,7 @@ import logging
 import math
 from dataclasses import dataclass
 
-from swarmtrack.autopilot.contact import OPENING, Contact, News
+from swarmtrack.autopilot.contact import OPENING, Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.limits import AUTOPILOT_LOST_AFTER_S, IMU_STALE_AFTER_S, SILENCE_DIAGNOSED_AFTER_S
 from swarmtrack.autopilot.links import Link
@@ -46,7 +46,7 @@ class LinkState:
     codec: Codec
     requests: StreamRequests
     telemetry: Telemetry
-    news: News
+    news: RepeatLimiter
     switch: PilotSwitch | None = None
     state: State = State.SEARCHING
     _trouble: str = "just started"

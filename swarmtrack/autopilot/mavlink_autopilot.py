@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.arguments import page
-from swarmtrack.autopilot.contact import Contact, News, heartbeat
-from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.contact import Contact, RepeatLimiter, heartbeat
+from swarmtrack.autopilot.engagement import CURRENT_MODE_HZ, PilotEngagement
 from swarmtrack.autopilot.flight import FlightWatch
 from swarmtrack.autopilot.framer import FAST_CRC, Framer, MavlinkFrame
 from swarmtrack.autopilot.global_position import GlobalPosition
@@ -123,7 +123,7 @@ class MavlinkAutopilot:
         self._codec = Codec(clock, system=system_id or 1, component=component_id, key=key)
         self._framer = Framer()
         self._contact = Contact(system_id)
-        self._news = News(self._now)
+        self._news = RepeatLimiter(self._now)
         self._flight = FlightWatch()
         self._switch = switch
         self._engagement = engagement

@@ -10,7 +10,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.clock_map import ClockMap
-from swarmtrack.autopilot.contact import Contact, News
+from swarmtrack.autopilot.contact import Contact, RepeatLimiter
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
 from swarmtrack.autopilot.limits import (
@@ -66,7 +66,7 @@ class Telemetry:
         self,
         requests: StreamRequests,
         contact: Contact,
-        news: News,
+        news: RepeatLimiter,
         *,
         gps: GlobalPosition | None,
         send: Callable[[Any], None],

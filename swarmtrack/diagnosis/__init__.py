@@ -1,1 +1,1 @@
-"""Why does it not work? Facts in, one sentence a fault out, each with what to do."""
+"""Diagnosis: facts in, one sentence per fault out, each with its remedy."""

@@ -1,7 +1,7 @@
-"""What an autopilot is to do by itself, where the agent that flies it fails: fence, time-outs, speed limits.
+"""Failsafe parameters of an autopilot, for when its agent fails: fence, time-outs, speed limits.
 
-Facts in, findings out. Each demand stands in one table: which parameter, of which firmware, what is expected in the
-light of the formation's limits, and why. The meanings of numbers are those of the firmwares' parameter references.
+Facts in, findings out. All demands are in one table: parameter per firmware, expected value given the formation's
+limits, and reason. The meanings of numbers are those of the firmwares' parameter references.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ OFFBOARD_LOST = {
 
 
 class Asked(NamedTuple):
-    """What the formation asks: its limits, and how high [m] the slot is above the team frame's origin."""
+    """Requirements of the formation: its limits, and the slot's height [m] above the team frame's origin."""
 
     limits: FlightLimits
     height: float
@@ -170,12 +170,12 @@ DEMANDS: dict[int, tuple[Demand, ...]] = {
 
 
 def asked_of(kind: int) -> tuple[str, ...]:
-    """The parameters that are of interest, of a MAV_AUTOPILOT."""
+    """Relevant parameters of a MAV_AUTOPILOT."""
     return tuple(name for demand in DEMANDS.get(kind, ()) for name in demand.names)
 
 
 def check_limits(kind: int | None, values: Mapping[str, float], asked: Asked) -> list[Finding]:
-    """kind: MAV_AUTOPILOT, None: none was heard; values: by name, what it told."""
+    """kind: MAV_AUTOPILOT, None without an autopilot; values: by name, as read."""
     demands = DEMANDS.get(kind, ()) if kind is not None else ()
     if not demands:
         return []
@@ -204,7 +204,7 @@ def check_limits(kind: int | None, values: Mapping[str, float], asked: Asked) ->
 
 
 def unheard(reason: str) -> list[Finding]:
-    """There was nobody to be asked."""
+    """Finding for an autopilot that did not answer."""
     return [fault("limits.silent", reason=reason)]
 
 

@@ -1,4 +1,4 @@
-"""What a check reports, and every sentence that it may use.
+"""Findings of a check, and every sentence they may use.
 
 All sentences are in one place so that `docs/troubleshooting.md` can list them. A test keeps the two equal.
 """
@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 
 class Level(enum.StrEnum):
-    """How bad it is."""
+    """Severity."""
 
     OK = "ok"
     # There was nothing to check, or no way to.
@@ -27,7 +27,7 @@ class Level(enum.StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line. check: what was looked at; fault: its name in `FAULTS`, empty where all is well; remedy: what to do."""
+    """One line. check: the subject; fault: its name in `FAULTS`, empty where all is well; remedy: what to do."""
 
     check: str
     level: Level
@@ -488,7 +488,7 @@ def skipped(check: str, found: str) -> Finding:
 
 
 def fault(name: str, *, setting: Sequence[str] = (), **values: object) -> Finding:
-    """The fault of that name, with its words filled in; setting: whose remedy applies, best first."""
+    """The named fault with its words filled in; setting: selects the remedy, best first."""
     level, found, remedy, instead = FAULTS[name]
     check = name.partition(".")[0]
     remedy = next((instead[key] for key in setting if key in instead), remedy)

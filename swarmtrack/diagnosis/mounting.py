@@ -1,4 +1,4 @@
-"""Calibration and mounting: whether the numbers can be those of a camera, and whether image and gyro agree. Pure."""
+"""Calibration and mounting: plausibility of the numbers, and agreement of image and gyro. Pure."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def check_calibration(facts: MountFacts) -> list[Finding]:
 
 
 def check_mount(facts: MountFacts, *, several: bool = False) -> list[Finding]:
-    """Where the camera sits and looks. several: it is one of many, which may well look back."""
+    """Check a camera's mounting. several: it is one of many, which may well look back."""
     if facts.mounted is None:
         return []
     findings = []
@@ -88,7 +88,7 @@ def check_mount(facts: MountFacts, *, several: bool = False) -> list[Finding]:
 
 
 def looks(body_from_camera: Array) -> str:
-    """Where a camera looks, in words."""
+    """Direction of a camera, in words."""
     ahead, right, down = body_from_camera[:, 2]
     azimuth, elevation = math.degrees(math.atan2(right, ahead)), -math.degrees(math.asin(down))
     if abs(elevation) > 75.0:
@@ -101,7 +101,7 @@ def looks(body_from_camera: Array) -> str:
 
 
 def check_motion(facts: MotionFacts, mounted: MountedCamera | None) -> list[Finding]:
-    """Signs first, which one axis is enough for; mounting and offset where all that was turned enough."""
+    """Check signs first, for which one axis is enough; mounting and offset where the rotations suffice."""
     agreement = facts.agreement
     if mounted is None or agreement is None:
         return [

@@ -1,4 +1,4 @@
-"""Whether an agent is ready to fly, by what it counts anyway: those checks of doctor that cost nothing. Pure."""
+"""Readiness of an agent to fly, from its counters: the checks of doctor that cost nothing. Pure."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SELF_DOUBT = "sightings of teammates contradict our own start or heading"
 
 
 class Readiness(NamedTuple):
-    """reasons: why not, one sentence each; where ready, what should be known beside that."""
+    """reasons: why not, one sentence each; where ready, further remarks."""
 
     ready: bool
     reasons: tuple[str, ...]

@@ -1,6 +1,6 @@
-"""Camera and autopilot: what their status lines, counters and samples amount to. Pure.
+"""Faults of camera and autopilot from their status lines, counters and samples. Pure.
 
-Sources name their own troubles in a sentence (`LinkStatus.text`); here the sentence finds its fault, and so its remedy.
+Sources name their own faults in a sentence (`LinkStatus.text`); here the sentence finds its entry, and so its remedy.
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class PoseFacts:
 
 
 def check_pose(facts: PoseFacts) -> list[Finding]:
-    """What names depend on."""
+    """Check the pose, which names depend on."""
     words = f"heading taken as ±{facts.heading_ground_deg:g}° on the ground, ±{facts.heading_flight_deg:g}° in flight"
     if facts.position_sigma is not None:
         vertical = facts.position_sigma if facts.vertical_sigma is None else facts.vertical_sigma
@@ -132,7 +132,7 @@ def check_pose(facts: PoseFacts) -> list[Finding]:
 
 
 def check_camera(facts: CameraFacts) -> list[Finding]:
-    """One failure, or warnings, or that all is well."""
+    """One failure, or warnings, or a line that all is well."""
     if facts.refused:
         name = "camera.size" if "the calibration is for" in facts.refused else "camera.address"
         return [fault(name, reason=facts.refused)]
@@ -177,7 +177,7 @@ def _camera_in_words(facts: CameraFacts, got_hz: float, age_ms: float) -> str:
 
 
 def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
-    """The link: what comes, how often, and how well its clock is known."""
+    """Check the link: messages, rates, and the uncertainty of its clock."""
     if facts.refused:
         exposed = re.search(r"\bmode (is )?0?\d{3}\b", facts.refused)
         return [fault("keys.mode" if exposed else "autopilot.address", reason=facts.refused)]
@@ -206,8 +206,9 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
 
 
 def check_door(link: str, *, signed: bool) -> list[Finding]:
-    """Whether others than the autopilot can speak where it is listened to. link: an address as in autopilot.link, which
-    may be wrong; signed: by a key that we know."""
+    """Check whether other senders than the autopilot can reach the listening port. link: an address as in
+    autopilot.link, which may be invalid; signed: by a configured key.
+    """
     try:
         address = parse_address(link)
     except SourceError:
@@ -240,7 +241,7 @@ def _setting(status: LinkStatus) -> tuple[str, ...]:
 
 
 def check_imu(facts: ImuFacts) -> list[Finding]:
-    """Axes: whether gravity is where it should be, and whether the gyro stands still with the drone."""
+    """Check axes: direction of gravity, and gyro of a drone at rest."""
     accel = facts.accel[np.isfinite(facts.accel).all(axis=1)]
     if len(facts.gyro) == 0:
         return [skipped("imu", "no samples to look at")]

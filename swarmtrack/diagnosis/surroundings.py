@@ -1,4 +1,4 @@
-"""Detector, network, keys, disk and heat: what was found of them, judged. Pure."""
+"""Detector, network, keys, disk and temperature: facts, judged. Pure."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def check_detector(facts: DetectorFacts) -> list[Finding]:
 
 
 def check_network(facts: NetworkFacts) -> list[Finding]:
-    """Keys first: without them nothing else can be asked."""
+    """Check keys first: without them nothing else can be checked."""
     if facts.keys_refused:
         name = next(
             (n for n, pattern in KEY_TROUBLES if re.search(pattern, facts.keys_refused)), "keys.broken"
@@ -143,7 +143,7 @@ def check_network(facts: NetworkFacts) -> list[Finding]:
 
 
 def check_tracks(facts: NetworkFacts) -> list[Finding]:
-    """What running agents say of their own tracks: see `tracking.check_tracking`."""
+    """Findings of running agents on their own tracks: see `tracking.check_tracking`."""
     return [
         Finding(
             "tracking",

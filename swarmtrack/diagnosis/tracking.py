@@ -1,4 +1,4 @@
-"""Does the tracker know how wrong it is? What its innovations say, in words for whoever flies. Pure."""
+"""Consistency of the tracker from its innovations, in words for the pilot. Pure."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ NIS_OVERCONFIDENT_RATIO, NIS_CAUTIOUS_RATIO = 4.0, 1.0 / 9.0
 
 
 def ratio_of(consistency: Consistency) -> float:
-    """The normalised innovation squared over its expectation: above 1 the tracker is too sure, below too careful."""
+    """Normalised innovation squared over its expectation: above 1 covariances are too small, below too large."""
     return consistency.nis / (0.5 * (consistency.low + consistency.high))
 
 
 def worst(consistencies: Iterable[Consistency | None]) -> Consistency | None:
-    """Of several trackers, that which is farthest from what it thinks; None where nothing can be told of any."""
+    """The least consistent of several trackers; None without data."""
     known = (one for one in consistencies if one is not None)
     return max(known, key=lambda one: abs(math.log(max(ratio_of(one), 1e-9))), default=None)
 
 
 def check_tracking(consistency: Consistency | None, noise: MeasuredNoise | None) -> list[Finding]:
-    """Nothing where all is well, or where too little was seen to tell."""
+    """Findings; empty where all is well, or with too few data."""
     findings = []
     if noise is not None and noise.detections >= NOISY:
         findings.append(fault("tracking.noisy", times=noise.detections))

@@ -1,1 +1,1 @@
-"""`swarmtrack doctor`: opens the camera, the link and the network, and notes the facts that `diagnosis` judges."""
+"""`swarmtrack doctor`: opens the camera, the link and the network, and collects the facts that `diagnosis` judges."""

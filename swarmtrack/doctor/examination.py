@@ -1,4 +1,4 @@
-"""The whole examination of one drone: facts gathered side by side, findings in the order of mending them."""
+"""Examination of one drone: facts gathered concurrently, findings in the order of repair."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ NETWORK_SECONDS = 5.0  # at most: whoever is there has answered by then
 
 
 async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Finding]:
-    """Look for so many seconds. Raises SwarmtrackError only where a simulation is asked for that does not exist."""
+    """Examine for so many seconds. Raises SwarmtrackError only for a simulation that does not exist."""
     simulation = make_simulation(config, clock)
     mounts = [mount_facts(section, simulation) for section in config.cameras]
     network = asyncio.create_task(team.ask(config, clock, min(seconds, NETWORK_SECONDS)))

@@ -1,4 +1,4 @@
-"""The autopilot's own limits, asked for over its link, as `config check --autopilot` and doctor do."""
+"""The autopilot's own limits, read over its link by `config check --autopilot` and doctor."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DOCTOR_WITHIN_S = 6.0
 
 
 def limits_reader(config: DroneConfig, autopilot: Autopilot | None) -> ParameterReader | None:
-    """What reads the limits of a follower's autopilot as soon as that runs; None where nobody is to be asked."""
+    """Reader of the limits of a follower's autopilot, active once it runs; None where there is nothing to read."""
     follows = config.formation.parameters(config.drone.id) is not None
     if not follows or not isinstance(autopilot, MavlinkAutopilot) or is_recording(config.autopilot.link):
         return None
@@ -31,13 +31,13 @@ def limits_reader(config: DroneConfig, autopilot: Autopilot | None) -> Parameter
 
 
 def judged(config: DroneConfig, told: ParameterReader) -> list[Finding]:
-    """What a reader was told, in the light of the formation."""
+    """Findings on the values that a reader got, given the formation."""
     place = config.formation.parameters(config.drone.id)
     return [] if place is None else check_limits(told.kind, told.values, Asked(place.limits, -place.down))
 
 
 async def read_limits(config: DroneConfig, clock: Clock, seconds: float = DOCTOR_WITHIN_S) -> list[Finding]:
-    """Of a drone that has a place in a formation; nothing is written to its autopilot."""
+    """Read the limits for a drone with a slot in a formation; nothing is written to its autopilot."""
     if config.formation.parameters(config.drone.id) is None:
         return [skipped("limits", "this drone follows no other: only its pilot flies it")]
     autopilot = make_autopilot(config, clock, None)

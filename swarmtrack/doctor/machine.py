@@ -1,4 +1,4 @@
-"""Facts of the machine: what is written where, how hot it is."""
+"""Facts of the machine: output paths, temperature."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PLAUSIBLE_CELSIUS = (-40.0, 150.0)
 
 
 def disk(config: DroneConfig) -> tuple[DiskFacts, ...]:
-    """Of everything that [output] and [recording] name."""
+    """Writability and free space of everything that [output] and [recording] name."""
     output, folder = config.output, config.recording.dir
     found = []
     if output.jsonl is not None:
@@ -61,7 +61,7 @@ def _disk(what: str, path: Path, check: Callable[[Path], None]) -> DiskFacts:
 
 
 def heat(thermal: Path = THERMAL) -> HeatFacts:
-    """What Linux and, on a Raspberry Pi, its firmware say."""
+    """Temperatures from Linux and, on a Raspberry Pi, its firmware."""
     celsius = {}
     for zone in sorted(thermal.glob("thermal_zone*")):
         with suppress(OSError, ValueError):

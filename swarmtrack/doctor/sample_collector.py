@@ -1,4 +1,4 @@
-"""Keeps what an autopilot says, for whoever looks at it afterwards."""
+"""Collector of an autopilot's samples for later analysis."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MOST_SAMPLES = 400_000
 
 @dataclass
 class SampleCollector(AutopilotListener):
-    """An autopilot's listener that keeps what it is told."""
+    """An autopilot's listener that keeps all samples."""
 
     samples: list[ImuSample] = field(default_factory=list)
     poses: list[EgoPose] = field(default_factory=list)
@@ -29,21 +29,21 @@ class SampleCollector(AutopilotListener):
             self.poses.append(pose)
 
     def on_autopilot_reboot(self) -> None:
-        """Its clock starts again: what was kept has nothing to do with what comes."""
+        """Drop earlier samples: the autopilot's clock has restarted."""
         self.samples.clear()
         self.poses.clear()
 
     def on_flight_state(self, state: FlightState) -> None:
-        """Of no interest here."""
+        """Ignored."""
 
     def on_found_flying(self) -> None:
-        """Of no interest here."""
+        """Ignored."""
 
     def on_switch(self, t: float) -> None:
-        """Of no interest here."""
+        """Ignored."""
 
     def gyro(self) -> GyroTurns:
-        """So far. Any thread may ask while more samples come in."""
+        """Samples so far. Any thread may call while more come in."""
         samples = self.samples.copy()
         return GyroTurns(
             np.array([sample.t for sample in samples]),

@@ -1,4 +1,4 @@
-"""Asks the network as a listener, not as a drone: this drone's agent may run meanwhile, and must not see a clone."""
+"""Network check as a listener, not as a drone: this drone's agent may run meanwhile, and must not see a clone."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ CLOCKS_AGREE = 2.0  # s
 
 
 async def ask(config: DroneConfig, clock: Clock, seconds: float) -> NetworkFacts:
-    """Who answers within `seconds`, and what they say of themselves."""
+    """Agents that answer within `seconds`, with their health."""
     facts = NetworkFacts(config.drone.id, config.network.team)
     if config.is_alone:
         return replace(facts, in_process=True)

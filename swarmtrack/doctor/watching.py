@@ -1,4 +1,4 @@
-"""Looks at a drone's cameras and autopilot for some seconds, and notes the facts."""
+"""Observation of a drone's cameras and autopilot for some seconds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LEAST_GYRO_SAMPLES = 50
 
 
 class WatchedCamera(NamedTuple):
-    """What came of watching one camera. newest: its last frame."""
+    """Facts on one camera. newest: its last frame."""
 
     facts: CameraFacts
     motion: MotionFacts
@@ -40,7 +40,7 @@ class WatchedCamera(NamedTuple):
 
 
 class WatchedSensors(NamedTuple):
-    """What came of watching all. cameras: in the order of the config."""
+    """Facts on all sensors. cameras: in the order of the config."""
 
     cameras: tuple[WatchedCamera, ...]
     autopilot: AutopilotFacts
@@ -73,7 +73,7 @@ class CameraWatch:
         self._newest: Frame | None = None
 
     async def run(self, *, beside_gyro: bool) -> None:
-        """Until cancelled, or until a recording ends. beside_gyro: there is something to compare its motion with."""
+        """Run until cancelled, or until a recording ends. beside_gyro: compare its motion with a gyro's."""
         if isinstance(self._camera, DetectionSource):
             async for _ in self._camera.detections():
                 self._frames += 1
@@ -92,7 +92,7 @@ class CameraWatch:
                     await self._camera.close()
 
     async def watched(self, seconds: float, heard: SampleCollector) -> WatchedCamera:
-        """What it came to in so many seconds, beside what the autopilot said."""
+        """Facts after so many seconds, combined with the autopilot's."""
         section, frame = self._section, self._newest
         address = None if section.simulated else parse_address(section.source)
         facts = CameraFacts(
@@ -158,11 +158,11 @@ class SensorWatch:
         """Of the autopilot, where the agent may fly the drone."""
 
     def motion(self, camera: int) -> ImageMotion | None:
-        """How the picture of a camera has moved so far."""
+        """Rotation of a camera's images so far."""
         return self._cameras[camera].motion
 
     async def run(self, seconds: float) -> WatchedSensors:
-        """Watch for so long, or until recordings end."""
+        """Observe for so long, or until recordings end."""
         beside_gyro = self._autopilot is not None
         tasks = [asyncio.create_task(camera.run(beside_gyro=beside_gyro)) for camera in self._cameras]
         tasks.append(asyncio.create_task(self._listen()))

@@ -1,1 +1,1 @@
-"""Flying in formation by what a drone sees: laws, barrier and what must hold before a flight. Pure, like the core."""
+"""Formation flight from what a drone sees: laws, barrier and checks in advance of a flight. Pure, like the core."""

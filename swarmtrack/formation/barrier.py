@@ -1,11 +1,11 @@
-"""Keeping clear: the velocity nearest to the wanted one that takes this drone too near to nobody it sees.
+"""Collision avoidance: the velocity nearest to the wanted one that keeps the clearance from every track in view.
 
-For everyone seen, with d the direction there, ρ⁻ the least that the distance may be, and w the other's velocity,
+For every track, with d the direction to it, ρ⁻ the lower bound of its range, and w the other's velocity,
 
     d · v ≤ γ (ρ⁻ − D) + min(a, 0) + 0.8 max(a, 0),    a = d · w − σ(d · w),
 
-never asking for a retreat faster than the speed limit. σ is there because how fast something comes is what a camera
-knows worst. A retreat alone is a chase: whoever comes straight on is sidestepped as well (`sidestep`).
+never asking for a retreat faster than the speed limit. σ is there because the closing speed is what a camera measures
+worst. A retreat alone is a chase: a drone that comes straight on is sidestepped as well (`sidestep`).
 
 Each is a half-space of velocities. The nearest point of all of them together is found by Hildreth's sweeps (Hildreth,
 1957), one closed form after another: no solver is needed, and the same input gives the same output to the last bit.
@@ -33,7 +33,9 @@ from swarmtrack.formation.setpoint import STANDSTILL, Velocity
 
 
 class HalfSpace(NamedTuple):
-    """All v with normal · v ≤ bound [m/s]; normal: of length 1. track: whom it keeps clear of, None where nobody."""
+    """All v with normal · v ≤ bound [m/s]; normal: of length 1. track: the one that it keeps clear of, None without
+    one.
+    """
 
     normal: Velocity
     bound: float
@@ -43,10 +45,10 @@ class HalfSpace(NamedTuple):
 def keep_clear(
     track: int, direction: Velocity, nearest: float, away: float, *, clearance: float, fastest: float
 ) -> HalfSpace:
-    """direction: of length 1, to the other; nearest [m]: the least that its distance may be; away [m/s]: how fast it
-    flies off along that, at least; below 0 it comes.
+    """Half-space that keeps the clearance. direction: of length 1, to the other; nearest [m]: lower bound of its
+    range; away [m/s]: lower bound of its speed along that, below 0 while it approaches.
 
-    fastest [m/s]: so fast it is asked to retreat at most. A cap below the others' speed breaks it.
+    fastest [m/s]: upper limit of the retreat. A limit below the others' speed breaks it.
     """
     bound = (
         BARRIER_GAMMA_PER_S * (nearest - clearance) + min(away, 0.0) + BARRIER_TRUSTED_AWAY * max(away, 0.0)
@@ -57,15 +59,18 @@ def keep_clear(
 def not_closing(
     track: int, direction: Velocity, nearest: float, leaves: float, *, clearance: float
 ) -> HalfSpace:
-    """What is left of `keep_clear` where it cannot be had of everybody: nobody nearer than the clearance is closed in
-    on, and beyond it the distance left is used up no faster. leaves [m/s]: as fast the other is expected to fly off."""
+    """Relaxation of `keep_clear` where not all can be met: no approach to a track within the clearance, and beyond
+    it the remaining distance is used up no faster. leaves [m/s]: expected speed of the other along the
+    direction.
+    """
     return HalfSpace(direction, BARRIER_GAMMA_PER_S * max(nearest - clearance, 0.0) + leaves, track)
 
 
 def sidestep(place: Velocity, motion: Velocity, lasts: float = COMING_WITHIN_S) -> Velocity:
-    """m/s, level: out of the way of somebody at `place` [m, from here] who passes soon and near. motion [m/s]: its
-    velocity less the wanted one, and lasts [s]: for how long. Who comes straight on is passed on its left: both step to
-    their right."""
+    """Level velocity [m/s] that evades a drone at `place` [m, from here] which passes soon and near. motion [m/s]:
+    its velocity less the wanted one, and lasts [s]: for how long. A drone that comes straight on is passed on
+    its left: both step to their right.
+    """
     north, east, _ = place
     vn, ve, _ = motion
     square = vn * vn + ve * ve
@@ -88,7 +93,7 @@ def sidestep(place: Velocity, motion: Velocity, lasts: float = COMING_WITHIN_S) 
 
 
 def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace], sweeps: int = BARRIER_SWEEPS) -> Velocity:
-    """The velocity nearest to `wanted` within all half-spaces; a compromise where they have nothing in common."""
+    """Velocity nearest to `wanted` within all half-spaces; a compromise where their intersection is empty."""
     north, east, down = wanted
     rows = [(*space.normal, space.bound) for space in spaces]
     pushed = [0.0] * len(rows)
@@ -110,7 +115,7 @@ def nearest_velocity(wanted: Velocity, spaces: Sequence[HalfSpace], sweeps: int 
 
 
 def binding(velocity: Velocity, spaces: Sequence[HalfSpace]) -> tuple[int, ...]:
-    """The tracks that a velocity would come too near to."""
+    """Tracks whose half-space a velocity violates."""
     return tuple(
         space.track
         for space in spaces
@@ -119,13 +124,14 @@ def binding(velocity: Velocity, spaces: Sequence[HalfSpace]) -> tuple[int, ...]:
 
 
 def excess(velocity: Velocity, spaces: Sequence[HalfSpace]) -> float:
-    """m/s: how far a velocity is beyond that half-space which it is farthest beyond; negative within all of them."""
+    """Largest violation [m/s] of the half-spaces by a velocity; negative within all of them."""
     return max((dot(space.normal, velocity) - space.bound for space in spaces), default=-math.inf)
 
 
 def stepped(now: Velocity, wanted: Velocity, most: float, spaces: Sequence[HalfSpace]) -> Velocity:
-    """From one velocity towards another, which is within `spaces`, by no more than `most` [m/s]. To come within them
-    is first."""
+    """Step from one velocity towards another, which is within `spaces`, by no more than `most` [m/s]. Entering them
+    comes first.
+    """
     if math.dist(now, wanted) <= most:
         return wanted
     within = nearest_velocity(now, spaces)
@@ -145,7 +151,8 @@ def fence(
     position: Velocity, engaged: Velocity, *, radius: float, lowest: float, highest: float, pull: float
 ) -> list[HalfSpace]:
     """Half-spaces that keep a drone within `radius` [m] of where it was engaged, level, and between two heights [m,
-    down]. pull [m/s]: so fast it is brought back at most where it is beyond."""
+    down]. pull [m/s]: upper limit of the speed back from beyond it.
+    """
     north, east = position[0] - engaged[0], position[1] - engaged[1]
     away = math.hypot(north, east)
     spaces = [
@@ -159,8 +166,9 @@ def fence(
 
 
 def leash(position: Velocity, place: Velocity, velocity: Velocity, most: float) -> list[HalfSpace]:
-    """A half-space that keeps a drone within `most` [m], level, of a place that moves [m/s]. It drags nobody along:
-    whoever stands may stand."""
+    """Half-space that keeps a drone within `most` [m], level, of a position that moves [m/s]. It never pulls: zero
+    velocity stays allowed.
+    """
     north, east = position[0] - place[0], position[1] - place[1]
     away = math.hypot(north, east)
     if away < 1e-3:
@@ -170,8 +178,9 @@ def leash(position: Velocity, place: Velocity, velocity: Velocity, most: float) 
 
 
 def layer(down: float, least: float, most: float, *, speed: float, gain: float) -> list[HalfSpace]:
-    """Half-spaces that keep a drone that is at `down` [m] between two heights [m, down] that move [m/s, down]. gain
-    [1/s]: how fast the distance left may be used up. They drag nobody along, either."""
+    """Half-spaces that keep a drone at `down` [m] between two heights [m, down] that move [m/s, down]. gain [1/s]:
+    how fast the remaining distance may be used up. They never pull, either.
+    """
     return [
         HalfSpace((0.0, 0.0, 1.0), max(gain * (most - down) + speed, 0.0)),
         HalfSpace((0.0, 0.0, -1.0), max(gain * (down - least) - speed, 0.0)),

@@ -1,13 +1,13 @@
-"""Does the drone fly as it is told? What it was told, through a model of its autopilot, against what that says it flew.
+"""Divergence of the flown velocity from the commanded one, through a model of the autopilot.
 
     du/dt = sat((told − u) / T, a)    dm/dt = ((flown − u) − m) / 2 s
 
-The velocity is over ground, so that wind is no matter while the autopilot has the authority to fly against it. An
-autopilot that is slow, or short of its speed by its drag, falls short along the way it was told; one that is pushed,
-frozen, or told by somebody else does not, or not only.
+The velocity is over ground, so that wind does not matter while the autopilot has the authority to fly against it. An
+autopilot that is slow, or limited in speed by its drag, falls short along the command; one that is pushed, frozen, or
+commanded by another program does not, or not only.
 
-And does what it flies help? Who comes no nearer to its slot although it flies there, as its autopilot has it, is told
-a velocity that is none: its own, or that of whom it follows.
+A second check: a drone that comes no nearer to its slot although its autopilot reports that it flies there has a false
+velocity, its own or that of its reference.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Off(NamedTuple):
 
 
 class DivergenceWatch:
-    """Told of each command and of how the drone flies then; `doubt` says where both differ for seconds."""
+    """Takes each command with the flown velocity; `doubt` reports a difference that lasts for seconds."""
 
     def __init__(self) -> None:
         self.difference: Velocity = STANDSTILL
@@ -59,7 +59,9 @@ class DivergenceWatch:
         self._parts: tuple[float, float] | None = None
 
     def add_sample(self, t: float, told: Velocity, flown: Velocity, *, usable: bool = True) -> None:
-        """told [m/s]: since the last time; flown [m/s]: over ground, by the own autopilot; usable: that is known."""
+        """told [m/s]: command since the last call; flown [m/s]: over ground, by the own autopilot; usable: that is
+        known.
+        """
         dt = 0.0 if self._t is None else t - self._t
         begins = self._t is None or not usable or not 0.0 <= dt <= LONGEST_TIME_STEP_S
         self._t = t
@@ -75,7 +77,7 @@ class DivergenceWatch:
         self._judge(t)
 
     def follow(self, t: float, error: Velocity, along: Velocity) -> None:
-        """It flies to its slot. error [m]: where that is from here; along [m/s]: how the slot moves."""
+        """The drone flies to its slot. error [m]: vector to the slot; along [m/s]: the slot's velocity."""
         size = math.hypot(*error)
         closing = 0.0
         if size > 0.0:
@@ -95,7 +97,7 @@ class DivergenceWatch:
                 return
 
     def doubt(self, t: float) -> str | None:
-        """In words, what is said at t; None where it flies as it is told."""
+        """The divergence at t in words; None while the drone flies as commanded."""
         if self._said:
             return f"flies {math.hypot(*self.difference):.1f} m/s off its command"
         if self._parts is not None and 0.0 <= t - self._parts[0] < DIVERGENCE_HOLDS_S:

@@ -1,8 +1,8 @@
-"""Height as a way out: only where somebody is about to collide, and not into the heights of other drones' slots.
+"""Vertical evasion: only for an imminent collision, and not into the heights of other drones' slots.
 
-Who flies beside this drone is out of its sight, and heights are all that keeps the two apart. So up and down a drone
-gives way last: when less than `COLLISION_WITHIN_S` is left. Then it climbs or sinks past whoever comes, by
-`ESCAPE_MOST_M` at most, and stays half a metre off every other slot's height of the plan.
+A drone to the side is out of sight, and only heights separate the two. So vertical evasion comes last: when less than
+`COLLISION_WITHIN_S` is left. Then the drone climbs or sinks past the other, by `ESCAPE_MOST_M` at most, and stays half a metre off every
+other slot's height of the plan.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from swarmtrack.formation.setpoint import Velocity
 
 
 class FreeHeights(NamedTuple):
-    """Heights [m, down] between which a drone may give way, and that of its slot."""
+    """Heights [m, down] between which a drone may evade, and that of its slot."""
 
     highest: float
     lowest: float
@@ -34,8 +34,9 @@ class FreeHeights(NamedTuple):
 
 
 def room(own: float, others: Iterable[float]) -> FreeHeights:
-    """Around the own slot's height; others: of the other slots; all m, down. Whose slot is as high as the own one, or
-    nearer than `ESCAPE_APART_M`, leaves none on its side."""
+    """Free heights around the own slot's; others: of the other slots; all m, down. A slot at the same height, or
+    nearer than `ESCAPE_APART_M`, leaves none on its side.
+    """
     highest, lowest = own - ESCAPE_MOST_M, own + ESCAPE_MOST_M
     for other in others:
         if other >= own:
@@ -46,8 +47,9 @@ def room(own: float, others: Iterable[float]) -> FreeHeights:
 
 
 def who_collides(near: Sequence[Obstacle], flies: Velocity) -> Obstacle | None:
-    """Who, as it flies, is within `COLLISION_CONTACT_M` in less than `COLLISION_WITHIN_S`; of several the first to be.
-    flies [m/s]: this drone, as it is told to."""
+    """The track that will be within `COLLISION_CONTACT_M` in less than `COLLISION_WITHIN_S`; of several the first. flies [m/s]: this
+    drone's command.
+    """
     soonest, first = COLLISION_WITHIN_S, None
     for other in near:
         motion = [theirs - ours for theirs, ours in zip(other.velocity, flies, strict=True)]
@@ -63,7 +65,7 @@ def who_collides(near: Sequence[Obstacle], flies: Velocity) -> Obstacle | None:
 
 
 def way_out(other: Obstacle, down: float, free: FreeHeights, climb: float) -> Velocity:
-    """m/s, up or down as fast as it may climb: past somebody, from a height [m, down]."""
+    """Vertical velocity [m/s] past another drone, as fast as the limit allows, from a height [m, down]."""
     offset, begun = other.place[2], down - free.slot
     if abs(offset) >= ESCAPE_LEVEL_M:
         sinks = offset < 0.0

@@ -1,16 +1,16 @@
-"""One drone's place in a formation: what it is to fly now, by what it sees. Pure: no clock, no input, no output.
+"""One drone's place in a formation: its command from what it sees. Pure: no clock, no input, no output.
 
 Theory of operation. A command has five parts, in this order:
 
-1. Holds. What the own autopilot, camera or team says may forbid to fly by it: then the drone stops where it is.
-2. The law (`law.py`) gives a level velocity from the references that may be trusted (`references.py`). When the last of
-   them is lost, the last command fades; then the drone holds, and never searches.
-3. The height is that of the slot, held by the own autopilot's. Right after engaging it comes first: who flies level
-   through other drones' heights meets them where nobody looks.
+1. Holds. The own autopilot, camera or team may report a state in which it must not fly: then the drone stops.
+2. The law (`law.py`) gives a level velocity from the trusted references (`references.py`). When the last of them is
+   lost, the last command fades; then the drone holds, and never searches.
+3. The height is that of the slot, held by the own autopilot's. Right after engaging it comes first: a drone that flies
+   level through other drones' heights meets them where no camera looks.
 4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from
-   everybody who is seen, named or not, and the fence bends it inwards; a step of theirs is not slowed down. Whoever is
-   kept clear of, nothing leads beyond the fence, nor farther than `LED_MOST_ASIDE_M` from the slot (`Berth`), nor out
-   of the own height: who flies beside is out of sight, and kept apart by heights alone.
+   every track, named or not, and the fence bends it inwards; a step of theirs is not slowed down. No evasion leads
+   beyond the fence, nor farther than `LED_MOST_ASIDE_M` from the slot (`Berth`), nor out of the own height: a drone to the
+   side is out of sight, and kept apart by heights alone.
 5. The first camera turns to the references, and to where they were last expected.
 """
 
@@ -93,8 +93,9 @@ HOLD_TEXTS = {
 
 
 class Berth(NamedTuple):
-    """Where a drone belongs for now: place in the team frame [m] and velocity [m/s] of its slot, or where it began to
-    hold. slack [m]: how far off its slot it was when nobody was in its way."""
+    """Where a drone belongs for now: position in the team frame [m] and velocity [m/s] of its slot, or where it
+    began to hold. slack [m]: its distance from the slot while no drone was in its way.
+    """
 
     place: Velocity
     velocity: Velocity = STANDSTILL
@@ -103,7 +104,7 @@ class Berth(NamedTuple):
 
 
 class SlotFlight(NamedTuple):
-    """The level velocity to fly [m/s]; how far and where the slot is, level [m]; and how it moves [m/s]."""
+    """Level velocity to fly [m/s]; distance and vector to the slot, level [m]; and the slot's velocity [m/s]."""
 
     wanted: Velocity
     error: Velocity
@@ -111,13 +112,13 @@ class SlotFlight(NamedTuple):
 
     @property
     def arrives(self) -> float:
-        """s: in about that time it is in its slot."""
+        """Approximate time until it is in its slot, s."""
         north, east, _ = (wanted - along for wanted, along in zip(self.wanted, self.velocity, strict=True))
         return math.hypot(*self.error) / max(math.hypot(north, east), 1e-3)
 
 
 class Formation:
-    """Told what is seen and how the drone flies, `command` answers with what to fly. `engage` begins each flight."""
+    """Takes what is seen and how the drone flies; `command` returns what to fly. `engage` begins each flight."""
 
     def __init__(self, parameters: FormationParameters) -> None:
         self.parameters = parameters
@@ -125,7 +126,7 @@ class Formation:
         self.engage()
 
     def engage(self) -> None:
-        """From rest: the fence stands around where the next command finds the drone."""
+        """Begin a flight, from rest: the fence is centred on the drone's position at the next command."""
         for watch in self._watches:
             watch.engage()
         self._t: float | None = None
@@ -528,8 +529,9 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
 
 
 def lowest(limits: FlightLimits, own: OwnFlight) -> float:
-    """m, down: the least height, by the own autopilot or above the ground that the range finder measures, whichever is
-    higher."""
+    """Floor, m, down: the least height, by the own autopilot or above the ground that the range finder measures,
+    whichever is higher.
+    """
     if own.ground is None or not 0.0 <= own.ground < FARTHEST_SEEN_M:
         return -limits.least_height
     return min(0.0, own.position[2] + own.ground) - limits.least_height

@@ -40,7 +40,7 @@ DRIFT, CLIMB = 0, 1
 
 
 class HeightDrift(NamedTuple):
-    """off [m]: by how much the own height seems too high against a teammate's; sigma [m]; said: it is worth a word."""
+    """off [m]: excess of the own height relative to a teammate's; sigma [m]; said: it is worth reporting."""
 
     drone_id: int
     off: float
@@ -49,22 +49,19 @@ class HeightDrift(NamedTuple):
 
 
 class HeightWatch:
-    """From the moment on that it is made. Told of sights, it says whether the own height seems wrong, or that of one of
-    the references, by which it is flown. Teammates beside those only bear witness: a name that is doubted for its
-    drift may be lost before it is said."""
+    """Watch from its construction on. From sights it decides whether the own height seems wrong, or that of a
+    reference by which the drone flies. Other teammates only corroborate: a name that is in doubt because of its
+    drift may be lost before the drift is reported.
+    """
 
     def __init__(self, references: Collection[int]) -> None:
         self._references = references
         self._rows: dict[int, _Row] = {}
 
     def add_sights(self, sights: Iterable[HeightSight], t: float) -> None:
-        """Of teammates that are surely named; the same sight twice counts once. t [s]: now."""
+        """Add sights of confidently named teammates; the same sight twice counts once. t [s]: now."""
         if any(abs(t - row.taken_t) > HEIGHT_DRIFT_STALE_S for row in self._rows.values()):
-            self._rows = {
-                drone: row
-                for drone, row in self._rows.items()
-                if abs(t - row.taken_t) <= HEIGHT_DRIFT_STALE_S
-            }
+            self._rows = {drone: row for drone, row in self._rows.items() if abs(t - row.taken_t) <= HEIGHT_DRIFT_STALE_S}
         for sight in sights:
             if not _is_possible(sight) or not abs(t - sight.t) <= HEIGHT_DRIFT_STALE_S:
                 continue
@@ -75,19 +72,19 @@ class HeightWatch:
                 row.add_sight(sight)
 
     def knows(self, drone_id: int) -> bool:
-        """Whether a drift against that teammate is being watched."""
+        """Whether the drift relative to that teammate is watched."""
         return drone_id in self._rows
 
     @property
     def drifts(self) -> list[HeightDrift]:
-        """Against each teammate."""
+        """Drift relative to each teammate."""
         return [
             HeightDrift(drone, float(row.x[DRIFT]), row.sigma, row.said) for drone, row in self._rows.items()
         ]
 
     @property
     def doubt(self) -> str | None:
-        """In words, whose height seems wrong; None where nobody's does."""
+        """The drone whose height seems wrong, in words; None without one."""
         drifts = self.drifts
         said = [drift for drift in drifts if drift.said]
         followed = [drift for drift in drifts if drift.drone_id in self._references]

@@ -1,9 +1,9 @@
-"""The displacement law: a velocity from where the references are and how they move.
+"""The displacement law: a velocity from the positions and velocities of the references.
 
     e = (Σ P_r⁻¹)⁻¹ Σ P_r⁻¹ (r − D)    w = (Σ P_v⁻¹)⁻¹ Σ P_v⁻¹ v_j    v = sat(k e) + w
 
-The covariances weigh: across a ray a camera is sharp, along it not. Without w nothing holds at 1.5 m/s. Level only:
-the height is the own autopilot's business.
+The covariances weigh: a camera is accurate across a ray, and not along it. Without w no formation holds at 1.5 m/s.
+Level only: the own autopilot holds the height.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from swarmtrack.messages import Array
 
 
 class SeenReference(NamedTuple):
-    """A reference: error (3,) m: where it is less where it should be; velocity (3,) m/s, its own; cov (6, 6)."""
+    """A reference: error (3,) m: its position less the wanted one; velocity (3,) m/s, its own; cov (6, 6)."""
 
     error: Array
     velocity: Array
@@ -28,7 +28,7 @@ class SeenReference(NamedTuple):
 
 
 def displacement(seen: Sequence[SeenReference]) -> tuple[Velocity, Velocity]:
-    """The error of the own place [m], and the velocity of the formation [m/s]."""
+    """Error of the own position [m], and the velocity of the formation [m/s]."""
     errors = [(entry.error, entry.cov[:3, :3]) for entry in seen]
     velocities = [(entry.velocity, entry.cov[3:, 3:]) for entry in seen]
     return _weighted(errors), _weighted(velocities)
@@ -50,7 +50,7 @@ def _weighted(values: Sequence[tuple[Array, Array]]) -> Velocity:
 
 
 def saturated(v: Velocity, most: float) -> Velocity:
-    """The same direction, no longer than `most`."""
+    """The same direction, at most `most` long."""
     north, east, down = v
     length = math.sqrt(north * north + east * east + down * down)
     if length <= most:
@@ -68,12 +68,12 @@ def dot(a: Velocity, b: Velocity) -> float:
 
 
 def towards(now: Velocity, wanted: Velocity, most: float) -> Velocity:
-    """From one velocity to another, by no more than `most`."""
+    """Step from one velocity towards another, by no more than `most`."""
     north, east, down = (goal - here for here, goal in zip(now, wanted, strict=True))
     step = saturated((north, east, down), most)
     return now[0] + step[0], now[1] + step[1], now[2] + step[2]
 
 
 def turn_rate(error: float, gain: float, most: float) -> float:
-    """rad/s that takes an error of heading [rad, any] away."""
+    """Yaw rate [rad/s] that removes an error of heading [rad, any]."""
     return min(max(gain * math.remainder(error, 2.0 * math.pi), -most), most)

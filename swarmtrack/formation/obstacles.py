@@ -1,4 +1,4 @@
-"""Whom a drone has to keep clear of: how near each may be and how it moves, from what is known of it and how well."""
+"""Obstacles: lower bounds of range and motion of every track, from its state and uncertainty."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from swarmtrack.messages import RelativeState
 
 
 class Obstacle(NamedTuple):
-    """Of a track. place [m, from here], velocity [m/s, its own]; direction: of length 1, to it; nearest [m]: the least
-    that its distance may be; away and leaves [m/s]: how fast it flies off along that, at least and as expected."""
+    """A track. place [m, from here], velocity [m/s, its own]; direction: of length 1, to it; nearest [m]: lower
+    bound of its range; away and leaves [m/s]: its speed along the direction, lower bound and expected.
+    """
 
     track: int
     place: Velocity
@@ -32,20 +33,20 @@ class Obstacle(NamedTuple):
     leaves: float
 
     def to_keep_clear(self, p: FormationParameters) -> HalfSpace:
-        """What keeping clear of it asks for."""
+        """Half-space of `keep_clear` for it."""
         return keep_clear(
             self.track, self.direction, self.nearest, self.away, clearance=p.clearance, fastest=p.limits.speed
         )
 
     def not_to_close_in(self, p: FormationParameters) -> HalfSpace:
-        """What is left of that where it cannot be had of everybody."""
+        """Half-space of `not_closing` for it."""
         return not_closing(self.track, self.direction, self.nearest, self.leaves, clearance=p.clearance)
 
 
 def obstacles(
     states: Mapping[int, RelativeState], own_velocity: Velocity, clearance: float
 ) -> list[Obstacle]:
-    """By track; those that are near enough to count."""
+    """Obstacles that are near enough to count, by track."""
     if not states:
         return []
     r = np.array([state.position for state in states.values()])

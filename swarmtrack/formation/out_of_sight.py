@@ -1,4 +1,4 @@
-"""Who came when it left the picture still comes: it flies on as it was last seen, and is known worse every moment."""
+"""Prediction of tracks that approached when they left the image: constant velocity, with growing uncertainty."""
 
 from __future__ import annotations
 
@@ -20,8 +20,9 @@ from swarmtrack.messages import Array, RelativeState
 
 
 class LastSight(NamedTuple):
-    """since, t [s]: from when to when it was seen; here [m], flies [m/s]: the own drone then; state: of the other
-    against it."""
+    """since, t [s]: first and last time seen; here [m], flies [m/s]: the own drone then; state: of the other
+    relative to it.
+    """
 
     since: float
     t: float
@@ -30,7 +31,7 @@ class LastSight(NamedTuple):
     state: RelativeState
 
     def after(self, age: float, own: OwnFlight) -> RelativeState:
-        """As it is expected that much later, against where this drone is and how it flies by then."""
+        """Prediction after some time, relative to this drone's position and velocity by then."""
         flies = self.state.velocity + self.flies
         place = self.state.position + self.here + age * flies - own.position
         return replace(
@@ -43,14 +44,13 @@ class LastSight(NamedTuple):
 
 
 class OutOfSight:
-    """Told whom a drone sees, by track, each time; `states` are those whom it does not see any more."""
+    """Takes the tracks in view each time; `states` are those that left it."""
 
     def __init__(self) -> None:
         self._seen: dict[int, LastSight] = {}
 
     def states(self, seen: Mapping[int, RelativeState], own: OwnFlight, t: float) -> dict[int, RelativeState]:
-        """By the track that each had; what places were measured in before the own one leapt, or the own heading
-        stepped, is forgotten."""
+        """States by former track; those from before a jump of the own position or heading are dropped."""
         frame_age = min(own.leap_age, own.heading_step_age)
         expected = {}
         for track, last in list(self._seen.items()):

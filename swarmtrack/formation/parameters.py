@@ -1,4 +1,4 @@
-"""What a formation is: who leads, whom this drone looks at, where everybody's slot is, and how far a command may go."""
+"""Parameters of a formation: leader, references, slots, and limits of a command."""
 
 from __future__ import annotations
 
@@ -89,10 +89,10 @@ class FormationParameters:
 
     @property
     def down(self) -> float:
-        """m, down in the team frame: where this drone's slot is."""
+        """Height of this drone's slot: m, down in the team frame."""
         return self.slots[self.drone_id][2] - self.height
 
     def wanted(self, reference: int) -> Place:
-        """Where that reference is to be, as seen from this drone's slot: m, team axes."""
+        """Wanted position of a reference relative to this drone's slot: m, team axes."""
         there, here = self.slots[reference], self.slots[self.drone_id]
         return there[0] - here[0], there[1] - here[1], there[2] - here[2]

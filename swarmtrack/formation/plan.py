@@ -1,7 +1,7 @@
-"""What must hold of a formation before anybody flies it: seen on paper, without a drone.
+"""Checks of a formation's plan without a drone.
 
-Each rule is one that simulated flights paid for: who is beside you is out of sight; heights must fit the view; straight
-lines hide the leader; chains amplify.
+Simulated flights paid for each rule: a drone to the side is out of sight; heights must fit the view; straight lines
+hide the leader; chains amplify.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ from swarmtrack.relative.box_width import BoxWidth
 
 
 class HalfView(NamedTuple):
-    """Half of the width and of the height of what a camera sees, how far its axis looks up, and right of that of the
-    drone's first camera, and how far its picture is turned clockwise about that axis; rad."""
+    """Half of a camera's field of view, horizontal and vertical; elevation of its axis, its azimuth right of the
+    drone's first camera, and its roll, clockwise about that axis; rad.
+    """
 
     half_width: float
     half_height: float
@@ -38,7 +39,9 @@ class HalfView(NamedTuple):
     roll: float = 0.0
 
     def where(self, look: LookAt) -> tuple[float, float]:
-        """Right and up of this camera's axis [rad], of what is right and up of the first camera's level axis."""
+        """Angles right and up of this camera's axis [rad] of a direction right and up of the first camera's level
+        axis.
+        """
         right, level = look.right - self.right, math.cos(look.up)
         x, y, up = level * math.cos(right), level * math.sin(right), math.sin(look.up)
         ahead = x * math.cos(self.up) + up * math.sin(self.up)
@@ -58,8 +61,7 @@ class PlanFault(NamedTuple):
 
 
 class LookAt(NamedTuple):
-    """A reference from a slot: distance [m], and where it is: right of where the first camera looks, and above the
-    level [rad]."""
+    """A reference as seen from a slot: range [m], azimuth right of the first camera's axis, and elevation [rad]."""
 
     reference: int
     distance: float
@@ -69,8 +71,10 @@ class LookAt(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FormationPlan:
-    """slots: by drone, [north, east, down] m from the leader, the leader's own included; references: of each follower;
-    height [m]: of the leader's slot above the team frame's origin; least_height [m]: nobody flies lower."""
+    """slots: by drone, [north, east, down] m from the leader, the leader's own included; references: of each
+    follower; height [m]: of the leader's slot above the team frame's origin; least_height [m]: the floor for
+    all.
+    """
 
     leader: int
     slots: Mapping[int, Place]
@@ -83,7 +87,7 @@ class FormationPlan:
         return [drone for drone in sorted(self.slots) if drone != self.leader]
 
     def height_of(self, drone: int) -> float:
-        """m above the team frame's origin."""
+        """Height of a slot, m above the team frame's origin."""
         return self.height - self.slots[drone][2]
 
     def middle(self, drone: int) -> tuple[float, float]:
@@ -95,7 +99,7 @@ class FormationPlan:
         return sum(n for n, _ in units) / count, sum(e for _, e in units) / count
 
     def looks(self, drone: int) -> list[LookAt]:
-        """Where a follower in its slot sees its references, its first camera towards their middle, as it flies."""
+        """References as seen from a follower's slot, its first camera towards their middle, as in flight."""
         here = self.slots[drone]
         ways = [_minus(self.slots[other], here) for other in self.references[drone]]
         north, east = self.middle(drone)
@@ -111,7 +115,7 @@ class FormationPlan:
         ]
 
     def links_from_leader(self) -> dict[int, int]:
-        """Over how many others each drone hangs on the leader; who does not is missing."""
+        """Number of links from the leader to each drone; a drone without a path is missing."""
         links = {self.leader: 0}
         for _ in self.slots:
             for drone in self.followers:
@@ -121,21 +125,22 @@ class FormationPlan:
         return links
 
     def most_speed(self) -> float:
-        """m/s: as fast the leader may fly."""
+        """Highest speed of the leader, m/s."""
         gaps = [look.distance for drone in self.followers for look in self.looks(drone)]
         return min(gaps, default=math.inf) / LEADER_GAP_S
 
 
 def plan_faults(plan: FormationPlan, span: float) -> list[PlanFault]:
-    """What is wrong with a plan, whoever flies it with whatever camera. span [m]: of the team's drones."""
+    """Faults of a plan, independent of cameras. span [m]: of the team's drones."""
     return [*_slot_faults(plan), *_chain_faults(plan), *_hidden_faults(plan, span)]
 
 
 def view_faults(
     plan: FormationPlan, drone: int, views: Sequence[HalfView], acceleration: float = 0.0
 ) -> list[PlanFault]:
-    """References that are too near to the border of each of this drone's views, or beyond it. acceleration [m/s²]: with
-    which it flies, and for which it tilts."""
+    """References that are near the border of each of this drone's views, or beyond it. acceleration [m/s²]: with
+    which it flies, and for which it tilts.
+    """
     faults = []
     tilt = math.atan(acceleration / TILT_GRAVITY_M_S2)
     if len(views) > 1 and math.hypot(*plan.middle(drone)) < LEAST_MEAN_DIRECTION:
@@ -153,7 +158,7 @@ def view_faults(
 
 
 def share_of_view(look: LookAt, view: HalfView, tilt: float = 0.0) -> float:
-    """How far a reference is off the axis, as a share of how far it may be."""
+    """Angle of a reference off the axis, as a share of the allowed one."""
     right, up = view.where(look)
     return max(
         abs(right) / (REFERENCE_VIEW_SHARE * view.half_width), abs(up) / max(_most_up(view, tilt), 1e-3)
@@ -161,7 +166,7 @@ def share_of_view(look: LookAt, view: HalfView, tilt: float = 0.0) -> float:
 
 
 def nearest_view(look: LookAt, views: Sequence[HalfView]) -> tuple[int, float]:
-    """Which view has a reference nearest to its axis, and at which share of its half."""
+    """The view that has a reference nearest to its axis, and its share of the half view."""
     return min(
         ((number, REFERENCE_VIEW_SHARE * share_of_view(look, view)) for number, view in enumerate(views)),
         key=lambda one: one[1],
@@ -197,7 +202,9 @@ def _off_view(look: LookAt, view: HalfView, tilt: float, axis: str) -> Iterator[
 
 
 def range_faults(box_width: BoxWidth, *, told: bool) -> list[PlanFault]:
-    """told: whether velocities or measured distances are told. Without, the size must tell the distance well enough."""
+    """told: whether velocities or measured ranges are shared. Without them, the size must determine the range well
+    enough.
+    """
     error = math.hypot(box_width.drone_sigma, box_width.wander_sigma)
     if told or error <= LARGEST_SIZE_ERROR:
         return []
@@ -209,7 +216,7 @@ def range_faults(box_width: BoxWidth, *, told: bool) -> list[PlanFault]:
 
 
 def neighbours_at_one_height(plan: FormationPlan) -> Iterator[tuple[int, int, float]]:
-    """Pairs of followers, and how far apart they are [m], that only luck keeps apart."""
+    """Pairs of followers at one height, and how far apart they are [m], that no camera keeps apart."""
     for one, other in combinations(plan.followers, 2):
         north, east, down = _minus(plan.slots[one], plan.slots[other])
         sees = other in plan.references[one] or one in plan.references[other]

@@ -1,4 +1,4 @@
-"""Whether a reference may be flown by: named surely for long enough, seen lately, and where it was expected."""
+"""Trust in a reference: named confidently for long enough, seen recently, and at its expected position."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 
 
 class ReferenceWatch:
-    """One reference. Times [s]; places in the team frame."""
+    """One reference. Times [s]; positions in the team frame."""
 
     def __init__(self, drone_id: int, sure: float) -> None:
         self.drone_id = drone_id
@@ -38,18 +38,19 @@ class ReferenceWatch:
         self._placed_at = -math.inf
 
     def engage(self) -> None:
-        """A new flight: nothing of the last one is known."""
+        """Begin a new flight, without the state of the last one."""
         self.restart()
         self._known_track = self.camera = None
 
     def restart(self) -> None:
-        """Nobody bears its name, or it has not been seen for too long: that has to hold for `REFERENCE_ENTRY_S`
-        again."""
+        """No track has its name, or it has not been seen for too long: the conditions have to hold for `REFERENCE_ENTRY_S`
+        again.
+        """
         self.trusted = self.entering = False
         self._track = self._sure_since = None
 
     def observe(self, entry: IdentifiedTrack, state: RelativeState, own: OwnFlight, t: float) -> None:
-        """It bears the name now."""
+        """A track has its name now."""
         self.camera = entry.track.camera
         coasting = entry.track.coasting_since
         unseen = coasting is not None and t - coasting > REFERENCE_UNSEEN_S
@@ -86,7 +87,7 @@ class ReferenceWatch:
             self._known_track = entry.track.id
 
     def direction(self, own: OwnFlight, t: float) -> tuple[float, float] | None:
-        """North and east, of length 1, to where it is or was last expected; None after `REFERENCE_NOSE_KEPT_S`."""
+        """Level unit vector, north and east, to its last expected position; None after `REFERENCE_NOSE_KEPT_S`."""
         age = t - self._placed_at
         if not 0.0 <= age < REFERENCE_NOSE_KEPT_S:
             return None

@@ -1,4 +1,4 @@
-"""What a formation is told of its own drone, and what it answers."""
+"""Input of a formation about the own drone, and its output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STANDSTILL: Velocity = (0.0, 0.0, 0.0)
 
 
 class Why(enum.StrEnum):
-    """What a setpoint is for."""
+    """Reason of a set point."""
 
     FOLLOW = "follow"  # flies to its slot, and along with its references
     HEIGHT = "height"  # climbs or descends to its slot's height first
@@ -38,12 +38,12 @@ class Why(enum.StrEnum):
 
     @property
     def holds(self) -> bool:
-        """Whether the drone stays where it is, or comes to a stop there."""
+        """Whether the drone stops and stays."""
         return self not in (Why.FOLLOW, Why.HEIGHT)
 
 
 class OwnSway(NamedTuple):
-    """About the own height by the drone's code (`motion.sway`), just now: m and m/s, down."""
+    """Current sway about the own height by the drone's code (`motion.sway`): m and m/s, down."""
 
     down: float
     speed: float
@@ -84,7 +84,7 @@ class OwnFlight:
 
     @property
     def is_possible(self) -> bool:
-        """Whether these are numbers that a drone could have."""
+        """Whether these numbers are possible for a drone."""
         north, east, down = self.velocity
         near = all(abs(x) < FARTHEST_FROM_ORIGIN_M for x in self.position)
         return near and math.hypot(north, east, down) < FASTEST_OWN_SPEED_M_S and math.isfinite(self.heading)

@@ -1,11 +1,12 @@
-"""Where nobody can be kept clear of without closing in on somebody else: the least of the worst closing speeds.
+"""Relaxation for conflicting half-spaces: minimises the largest closing speed.
 
-The half-spaces of the barrier then have nothing in common, and Hildreth's sweeps end at a compromise that has no floor:
-it may fly into one of two. Here each that keeps clear of somebody is relaxed by the same t [m/s], and the answer is the
-velocity of the least t; of those the nearest to `goal`. The limits (fence, height, speed) are not relaxed.
+The half-spaces of the barrier then have an empty intersection, and Hildreth's sweeps end at a compromise without a
+floor: it may fly into one of two drones. Here each half-space of a drone is relaxed by the same t [m/s], and the
+answer is the velocity of the least t; of those the nearest to `goal`. The limits (fence, height, speed) are not
+relaxed.
 
-It is again a projection onto half-spaces, of (goal, -SQUEEZE_REACH_M_S) in the space of (v, t), and there they always
-meet. The ball of speeds has a correction of its own, as in Boyle & Dykstra (1986).
+It is again a projection onto half-spaces, of (goal, -SQUEEZE_REACH_M_S) in the space of (v, t), and there they always meet.
+The ball of speeds has a correction of its own, as in Boyle & Dykstra (1986).
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ from swarmtrack.formation.setpoint import STANDSTILL, Velocity
 def least_closing(
     goal: Velocity, near: Sequence[HalfSpace], limits: Sequence[HalfSpace], fastest: float
 ) -> Velocity:
-    """About the velocity whose largest `excess` over `near` is the least, within `limits`, which all allow to stand,
-    and no faster than `fastest` [m/s]."""
+    """Velocity with the least largest `excess` over `near`, within `limits`, all of which contain zero, and no
+    faster than `fastest` [m/s].
+    """
     north, east, down = goal
     t = -SQUEEZE_REACH_M_S
     rows = [(*space.normal, space.bound) for space in near]
@@ -58,12 +60,12 @@ def least_closing(
 
 
 def no_faster_than_asked(velocity: Velocity, asked: Sequence[HalfSpace]) -> Velocity:
-    """A retreat, as long as it takes to keep clear of those from whom it retreats. asked: by the barrier."""
+    """The velocity, scaled down where it retreats faster than the half-spaces require. asked: by the barrier."""
     retreats = [(dot(space.normal, velocity), space.bound) for space in asked]
     share = max((min(bound / speed, 1.0) for speed, bound in retreats if speed < 0.0 > bound), default=0.0)
     return velocity[0] * share, velocity[1] * share, velocity[2] * share
 
 
 def best_of(candidates: Sequence[Velocity], near: Sequence[HalfSpace]) -> Velocity:
-    """That which closes in on nobody as fast as the others do; of equal ones the first."""
+    """The velocity with the least closing speed; of equal ones the first."""
     return min(candidates, key=lambda velocity: max(excess(velocity, near), 0.0))

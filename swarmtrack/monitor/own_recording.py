@@ -29,7 +29,7 @@ from swarmtrack.monitor.timeline import Blob, BlobFile, TimelineEvent, Tracked
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.outputs import periods
 from swarmtrack.recording import inputs, outputs
-from swarmtrack.recording.merge import SAID_TOPIC, Hearsay, utc_offset
+from swarmtrack.recording.merge import SAID_TOPIC, SightingTimes, utc_offset
 from swarmtrack.recording.outputs import FRAMES_TOPIC, image_topic
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import read_settings
@@ -76,7 +76,7 @@ class DroneRecording:
 
     def __init__(self, recording: Recording, blob_file: BlobFile) -> None:
         self.drone_id = recording.drone_id
-        self.hearsay = Hearsay()
+        self.hearsay = SightingTimes()
         self.refused = 0
         self.observers: set[int] = set()
         """Whose reports it heard."""

@@ -20,7 +20,7 @@ from swarmtrack.errors import RecordingError
 from swarmtrack.monitor.own_recording import DroneRecording
 from swarmtrack.monitor.team import DRONE_SILENT_S
 from swarmtrack.monitor.timeline import BlobFile, Timeline, TimelineEvent, Tracked
-from swarmtrack.recording.merge import Hearsay, shifts_by, utc_offset
+from swarmtrack.recording.merge import SightingTimes, shifts_by, utc_offset
 from swarmtrack.recording.reader import Recording, recordings_below
 from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, Heard, read_heard
 from swarmtrack.transport import keys
@@ -108,7 +108,7 @@ class _SwarmRecording:
     """What `swarmtrack record` and `sim --record` heard."""
 
     def __init__(self, recording: Recording, blob_file: BlobFile) -> None:
-        self.hearsay = Hearsay()
+        self.hearsay = SightingTimes()
         self.refused = 0
         self.tracked: dict[int, Tracked] = {}
         self._recording = recording

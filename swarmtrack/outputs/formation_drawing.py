@@ -1,4 +1,4 @@
-"""A formation as a drawing: slots from above, heights from the side, and who looks at whom; as text and as SVG."""
+"""Drawing of a formation: slots from above, heights from the side, and lines of sight; as text and as SVG."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DRAWING_COLOURS = {
 
 
 def as_text(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> str:
-    """Seen from above, and a line for each slot. drone: whose config this is, with the views of its cameras."""
+    """View from above, and a line for each slot. drone: the config's own, with the views of its cameras."""
     lines = [*_grid(plan), *_slot_lines(plan, drone, views)]
     lines.append(
         f"the leader flies at most {plan.most_speed():.1f} m/s, and turns by 20°/s or less: else they fall behind"
@@ -78,7 +78,7 @@ def _slot_lines(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> I
 
 
 def as_svg(plan: FormationPlan, drone: int, views: Sequence[HalfView]) -> str:
-    """The same from above and from the south, with this drone's views; for a browser."""
+    """Views from above and from the south, with this drone's views; for a browser."""
     span = max(
         [2.0] + [abs(a - b) for axis in range(3) for a in _axis(plan, axis) for b in _axis(plan, axis)]
     )

@@ -37,7 +37,7 @@ class Shift(NamedTuple):
 
 
 @dataclass(slots=True)
-class Hearsay:
+class SightingTimes:
     """Sightings sent and received in one recording: their exposures, by its clock [s]."""
 
     said: dict[Said, float] = field(default_factory=dict)
@@ -57,13 +57,13 @@ def shifts(recordings: Sequence[Recording]) -> list[Shift]:
     """Offset of each recording, in order; the first is 0."""
     hearsay = []
     for recording in recordings:
-        hearsay.append(Hearsay())
+        hearsay.append(SightingTimes())
         for message in recording.messages({SAID_TOPIC, SIGHTINGS_TOPIC}):
             hearsay[-1].note(message)
     return shifts_by(hearsay, [utc_offset(recording) for recording in recordings])
 
 
-def shifts_by(hearsay: Sequence[Hearsay], utc: Sequence[float]) -> list[Shift]:
+def shifts_by(hearsay: Sequence[SightingTimes], utc: Sequence[float]) -> list[Shift]:
     """Offset of each recording, from the messages that it sent and received. utc: its estimate of UTC minus its
     monotonic clock [s].
     """
@@ -161,7 +161,7 @@ def utc_offset(recording: Recording) -> float:
     return float(recording.preface["utc_s"]) - float(recording.preface["monotonic_s"])
 
 
-def _offset(one: Hearsay, other: Hearsay) -> float | None:
+def _offset(one: SightingTimes, other: SightingTimes) -> float | None:
     """The other's clock minus the one's [s]; None where neither heard the other."""
     there = min((other.heard[key] - t for key, t in one.said.items() if key in other.heard), default=math.inf)
     back = min((one.heard[key] - t for key, t in other.said.items() if key in one.heard), default=math.inf)

@@ -77,7 +77,7 @@ class LabelledPicture(NamedTuple):
 
 
 @dataclass(slots=True)
-class Told:
+class ReportedPath:
     """Positions reported by a teammate, on the receiver's clock."""
 
     t: list[float] = field(default_factory=list)
@@ -112,7 +112,7 @@ class RecordedDrone:
     ego: EgoHistory
     clock_offset: float
     newest: float = -math.inf
-    told: dict[int, Told] = field(default_factory=dict)
+    told: dict[int, ReportedPath] = field(default_factory=dict)
     teammates: set[int] = field(default_factory=set)
 
     @property
@@ -229,11 +229,11 @@ def _read(recording: Recording, shift: float) -> RecordedDrone:
                 ego.restart()
             case Announcement():
                 flown.teammates.add(event.drone_id)
-                flown.told.setdefault(event.drone_id, Told()).add(
+                flown.told.setdefault(event.drone_id, ReportedPath()).add(
                     event.t, event.position, math.sqrt(float(np.trace(event.position_cov)) / 3)
                 )
             case SightingReport():
-                told = flown.told.setdefault(event.observer, Told())
+                told = flown.told.setdefault(event.observer, ReportedPath())
                 told.add(event.t, event.position, event.position_sigma)
     return flown
 

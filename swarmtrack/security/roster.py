@@ -33,7 +33,7 @@ class Roster:
         return replace(self, drones={**self.drones, drone_id: public_key})
 
     def with_others(self, name: str) -> Roster:
-        """Whether the team has monitors or routers."""
+        """The roster with a further monitor or router."""
         if name in self.names:
             return self
         if names.role(name) == Role.MONITOR:

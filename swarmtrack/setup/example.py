@@ -1,4 +1,4 @@
-"""A config with every key in it, explained: what must be there is, everything else is a comment with its default."""
+"""An explained config with every key: required ones set, all others as comments with their defaults."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ SHOWN_VALUES = {
 
 
 def example() -> str:
-    """The file."""
+    """Text of the file."""
     schema = whole_schema()
     parts = [EXAMPLE_HEAD]
     for section, kind in tables():

@@ -1,4 +1,4 @@
-"""What the configs of one team must agree on: each may be right by itself, and the team still not hear each other."""
+"""Consistency of the configs of one team: each may be valid by itself, and the drones still not receive each other."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ SAME_START_M = 0.1  # m: nearer than this two drones do not stand beside each ot
 
 
 class Common(NamedTuple):
-    """An entry that must be the same for all of a team."""
+    """An entry that must be the same for the whole team."""
 
     key: tuple[str, str]
     of: Callable[[DroneConfig], object]

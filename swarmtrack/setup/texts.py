@@ -23,7 +23,7 @@ body_from_camera = { rpy_deg = [0.0, 0.0, 0.0], position_m = [0.0, 0.0, 0.0] }""
 
 
 class DronePlan(NamedTuple):
-    """What drone-ID.toml says. lens: lines of [camera]; notes: on the link; start: the value of drone.start."""
+    """Contents of drone-ID.toml. lens: lines of [camera]; notes: on the link; start: the value of drone.start."""
 
     drone_id: int
     team: str
@@ -36,7 +36,7 @@ class DronePlan(NamedTuple):
 
 
 class TeamPlan(NamedTuple):
-    """What team.toml says. origin: latitude and longitude in degrees, height in m; peers: hosts by drone."""
+    """Contents of team.toml. origin: latitude and longitude in degrees, height in m; peers: hosts by drone."""
 
     name: str
     origin: Sequence[float] | None = None

@@ -144,7 +144,7 @@ def _restore(before: dict[Path, bytes | None]) -> None:
 
 
 class Questions:
-    """What a flag did not tell is asked, where there is a person; else it has its default."""
+    """Answers from flags; for the rest a question where there is a person, else the default."""
 
     def __init__(self, args: argparse.Namespace, *, person: bool) -> None:
         self._args = args

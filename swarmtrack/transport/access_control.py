@@ -19,7 +19,9 @@ SPEAKING: Final = ("put", "delete", "reply", "declare_queryable", "liveliness_to
 
 
 def access_control(roster: Roster) -> dict[str, Any]:
-    """Zenoh's `access_control` section. Incoming messages are filtered by their sender, outgoing ones only by key."""
+    """Zenoh's `access_control` section. Incoming messages are permitted by the sender's name, outgoing ones by the
+    team only.
+    """
     everything = keys.key(roster.team, "**")
     rules = [
         _rule("send", "egress", (*ASKING, *SPEAKING), everything),

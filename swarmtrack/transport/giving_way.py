@@ -26,7 +26,7 @@ Channel = tuple[Kind, int]
 """A kind of message, and of pictures of which camera."""
 
 
-class GivingWay:
+class RateLimiter:
     """Rate limit of one agent's publishers, across its sessions."""
 
     def __init__(self, network: NetworkSettings, clock: Clock) -> None:
@@ -43,7 +43,7 @@ class GivingWay:
         self.counters: Counter[str] = Counter()
 
     def declare(self, publishers: Mapping[Channel, zenoh.Publisher]) -> list[Any]:
-        """Declare the publishers that show whether there are subscribers."""
+        """Declare a listener to the subscribers of each rate-limited publisher."""
         self._listened.clear()
         return [
             publisher.declare_matching_listener(

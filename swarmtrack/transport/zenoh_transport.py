@@ -25,7 +25,7 @@ from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
-from swarmtrack.transport.giving_way import Channel, GivingWay
+from swarmtrack.transport.giving_way import Channel, RateLimiter
 from swarmtrack.transport.joining import keep_joining
 from swarmtrack.transport.knocking import keep_knocking
 from swarmtrack.transport.limits import (
@@ -93,7 +93,7 @@ class ZenohTransport:
         self._outgoing = Outgoing(network.team, drone_id, boot, clock, sign)
         self._session: zenoh.Session | None = None
         self._publishers: dict[Channel, zenoh.Publisher] = {}
-        self._giving_way = GivingWay(network, clock)
+        self._giving_way = RateLimiter(network, clock)
         self._renewed = False
         self._declared: list[Any] = []
         self._bridges: list[Bridge] = []

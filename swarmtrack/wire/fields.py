@@ -81,7 +81,7 @@ class PeerMessage(Record, frozen=True):
     t_sigma_s: Seconds
 
 
-class Said(Protocol):
+class MessageHeader(Protocol):
     """Header of an own message about one instant."""
 
     @property
@@ -95,7 +95,7 @@ class Said(Protocol):
 
 
 def peer_fields(
-    drone_id: int, said: Said, utc_offset: float
+    drone_id: int, said: MessageHeader, utc_offset: float
 ) -> tuple[Literal[1], int, str, int, float, float]:
     """Values of the fields of `PeerMessage` for an own message."""
     return WIRE_VERSION, drone_id, said.boot, said.sequence, float(said.t + utc_offset), float(said.t_sigma)
