@@ -1,4 +1,4 @@
-"""What a camera sees: the border of its picture as directions, whatever its lens."""
+"""Field of view of a camera: the border of its image as directions, for any lens."""
 
 from __future__ import annotations
 

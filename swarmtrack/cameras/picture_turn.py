@@ -75,7 +75,7 @@ class MountingNews(NamedTuple):
 
 
 class PictureTurns:
-    """All cameras of a drone."""
+    """Mounting evidence for all cameras of a drone."""
 
     def __init__(self, from_first: Sequence[Array]) -> None:
         """from_first: of each camera, its axes (3, 3) from the first one's, as told."""
@@ -91,7 +91,9 @@ class PictureTurns:
     def add_scan(
         self, number: int, scan: Scan, camera: PinholeCamera, orientation: Orientation
     ) -> MountingNews | None:
-        """A scan of a camera, and the first one's orientation at its exposure: what is new of that camera."""
+        """Add a scan of a camera, with the first camera's orientation at its exposure; returns news of that
+        camera's mounting.
+        """
         turn = self._turns[number]
         before = turn.found
         turn.add_scan(scan, camera, orientation)
@@ -138,7 +140,7 @@ class PictureTurn:
         """Which of the others it is instead; None while the told one will do."""
 
     def add_scan(self, scan: Scan, camera: PinholeCamera, orientation: Orientation) -> None:
-        """A scan, and the first camera's orientation at its exposure."""
+        """Add a scan, with the first camera's orientation at its exposure."""
         if self._settled:
             return
         t = scan.t

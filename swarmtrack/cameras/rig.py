@@ -174,7 +174,7 @@ class Rig:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What the trackers refused or lost, and how many tracks went over from one camera to another."""
+        """Rejections and losses of the trackers, and the number of tracks handed over from one camera to another."""
         total: dict[str, int] = {}
         for each in self._cameras:
             for name, count in each.tracker.counters.items():
@@ -183,7 +183,7 @@ class Rig:
 
     @property
     def from_first(self) -> list[Array]:
-        """Of each camera, its axes (3, 3) from the first one's, as told."""
+        """Configured axes (3, 3) of each camera from the first one's."""
         return self._from_first
 
     @property
@@ -394,8 +394,8 @@ class Rig:
                 self._seam(giver, taker).lost += 1
         return frozenset(crossed)
 
-    def _seam_news(self) -> list[SeamNews]:
-        """Seams that are turned, or that tracks are lost at; each is returned once."""
+    def take_news(self) -> list[SeamNews]:
+        """News of seams; each is returned once."""
         news = []
         for (first, second), seam in self._seams.items():
             if self._apart & {first, second}:
@@ -427,7 +427,7 @@ class Rig:
         return tuple(self._carried(t, orientation))
 
     def expected(self, camera: int, t: float, orientation: Orientation) -> ExpectedTracks:
-        """Where a camera should see the tracks at t: its own, and those of the others that are in its picture, too."""
+        """Tracks expected in a camera's image at t: its own, and those of the others."""
         parts = []
         for giver, each in enumerate(self._cameras):
             then, since = self._orientations[giver], each.tracker.t

@@ -1,4 +1,4 @@
-"""How two cameras of a drone are turned against each other, learned from tracks at the seam between them.
+"""Rotation between two cameras of a drone, estimated from tracks at the seam between them.
 
 Theory of operation. A mounting is known to a degree or so, and its error lasts. The rotation from one camera's axes to
 another's is exp(δ) R, with R as it was told and δ (3,) rad in the second one's axes, N(0, 2 σ² I) before the flight. A
@@ -109,7 +109,7 @@ class SeamComparison(NamedTuple):
 
 
 class Seam:
-    """Between two cameras; `second_from_first` (3, 3) as it was told, ± mounting_sigma [rad] per axis."""
+    """Seam between two cameras; `second_from_first` (3, 3) as configured, ± mounting_sigma [rad] per axis."""
 
     def __init__(self, second_from_first: Array, mounting_sigma: float) -> None:
         self._told = second_from_first
@@ -171,8 +171,9 @@ class Seam:
     def update(
         self, foretold: Array, cov: Array, z: Array, camera: PinholeCamera, *, to_second: bool, by: Array
     ) -> None:
-        """A track was foretold at a pixel (2,), `by` the angle (3,) of when it went over, and detected at z (2,);
-        cov (2, 2) px²: of both but for the seam."""
+        """Update with a track predicted at a pixel (2,) and detected at z (2,), `by` the rotation (3,) since its
+        handover; cov (2, 2) px²: of both, without the seam's.
+        """
         flow = self.flow(foretold[None], camera, to_second=to_second)[0]
         value, axes = np.linalg.eigh(cov)
         # Of a difference of two covariances only the positive part is one.
@@ -221,7 +222,7 @@ class Seam:
         return None if stay is None or t - stay.t > STAY_ENDS_AFTER_S else self._disagreement(stay)
 
     def end_stays(self, t: float) -> None:
-        """Of the targets that were not compared for a while."""
+        """End the comparison of targets that were not detected in both cameras for a while."""
         for track_id in [id for id, stay in self._stays.items() if t - stay.t > STAY_ENDS_AFTER_S]:
             self._end(track_id)
 

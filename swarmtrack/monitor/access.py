@@ -1,4 +1,4 @@
-"""Who may look: a token where others can reach the page, and no page of another site as a spy."""
+"""Access control of the page: a token where other machines can reach it, and no requests from other sites."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def is_loopback(address: str) -> bool:
 
 
 def token_for(address: str, given: str | None) -> str | None:
-    """What a viewer has to show; None: nothing, on loopback. Raises AccessError."""
+    """Required token; None: none, on loopback. Raises AccessError."""
     if given is not None:
         if not re.fullmatch(r"[A-Za-z0-9_\-]{8,128}", given):
             raise AccessError("--token: expected 8 to 128 letters, digits, - and _")
@@ -42,13 +42,13 @@ def token_for(address: str, given: str | None) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class AccessGuard:
-    """Judges every request."""
+    """Checks every request."""
 
     token: str | None
     page: str
 
     def refuse(self, request: web.Request) -> str | None:
-        """Why not; None: come in."""
+        """Reason for refusal; None: accepted."""
         if _HOST.fullmatch(request.host) is None:
             return "this Host is not an address"
         # A name that another site lets point here would make its page one of ours.

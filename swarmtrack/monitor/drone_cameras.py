@@ -1,4 +1,4 @@
-"""The cameras of a drone with several: where each looks, and where what they track is around the drone."""
+"""Cameras of a drone with several: fields of view, and directions of their tracks around the drone."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UNKNOWN_DISTANCE_M = 1e4  # where somebody is whose distance is not known: camer
 
 
 class CameraView(NamedTuple):
-    """What one camera of a drone sees."""
+    """Field of view of one camera."""
 
     key: ViewKey
     message: VideoMessage
@@ -69,7 +69,7 @@ class DroneCameras:
         ]
 
     def around(self, tracks: TracksMessage) -> list[SeenAround]:
-        """All but tentative ones, of all cameras."""
+        """All but tentative tracks, of all cameras."""
         away = distances(tracks)
         found = []
         for number, (lens, mounting) in enumerate(zip(self.lenses, self.mountings, strict=True)):
@@ -106,7 +106,7 @@ class DroneCameras:
 
 
 def tracks_of(tracks: TracksMessage, camera: int) -> list[TrackMessage]:
-    """Those in the pixels of one camera that are to be shown."""
+    """Visible tracks in the pixels of one camera."""
     return [
         track
         for index, track in enumerate(tracks.tracks)
@@ -115,7 +115,7 @@ def tracks_of(tracks: TracksMessage, camera: int) -> list[TrackMessage]:
 
 
 def distances(tracks: TracksMessage) -> dict[int, float]:
-    """By track, m, of teammates whose place is known."""
+    """Range [m] by track, of teammates whose position is known."""
     return {said.track_id: round(math.dist(said.position_m, RELATIVE_ORIGIN), 2) for said in tracks.relatives}
 
 

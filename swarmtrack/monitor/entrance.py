@@ -1,9 +1,9 @@
-"""Where viewers come in: so many connections and no more, each with a time to say what it wants.
+"""Listening socket for viewers: a bounded number of connections, each with a time limit for its request.
 
-Theory of operation. Every connection is accepted, so nobody can fill the queue in front of us. At most
-MAX_CONNECTIONS stand at a time: one more takes the place of that which has owed us a request for the longest, or, if
-none does, of the one that asked longest ago. An open page (a WebSocket; the server allows some dozens) is never
-given up. So a flood of connections that say nothing pushes each other out, and a browser, which asks at once, gets in.
+Theory of operation. Every connection is accepted, so the queue in front of us cannot fill. At most MAX_CONNECTIONS
+stand at a time: one more replaces the one that has owed us a request for the longest, or, if none does, the one whose
+last request is the oldest. An open page (a WebSocket; the server allows some dozens) is never replaced. So connections
+of a flood that send nothing push each other out, and a browser, which asks at once, gets in.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def tls_context(certificate: Path | None, key: Path | None) -> ssl.SSLContext | 
 
 
 class SparingLog(logging.LoggerAdapter[logging.Logger]):
-    """What aiohttp logs, and we: a line for each kind of trouble, at most every SAY_AGAIN_S."""
+    """Log of aiohttp and of the monitor: one line per kind of fault, at most every SAY_AGAIN_S."""
 
     def __init__(self, now: Callable[[], float]) -> None:
         super().__init__(log, None)
@@ -74,7 +74,7 @@ class SparingLog(logging.LoggerAdapter[logging.Logger]):
         self._unsaid: dict[str, int] = {}
 
     def log_limited(self, kind: str, text: str, *, bug: BaseException | None = None) -> None:
-        """bug: shown with where it came from."""
+        """bug: logged with its traceback."""
         now = self._now()
         if now - self._said.get(kind, -SAY_AGAIN_S) < SAY_AGAIN_S:
             self._unsaid[kind] = self._unsaid.get(kind, 0) + 1
@@ -105,7 +105,7 @@ class SparingLog(logging.LoggerAdapter[logging.Logger]):
 
 @dataclass(slots=True, eq=False)
 class Connection:
-    """Somebody who has come. since [s]: when it came, or asked last; is_page: it is an open page now."""
+    """One connection. since [s]: when it came, or last asked; is_page: it is an open page now."""
 
     since: float
     has_asked: bool = False
@@ -167,7 +167,7 @@ class Entrance:
         self._tasks.append(asyncio.create_task(self._sweep(), name="sweep"))
 
     async def close(self) -> None:
-        """Nobody comes in any more. Who is in is the application's to send away."""
+        """Accept no more connections. Closing the open ones is left to the application."""
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

@@ -1,4 +1,4 @@
-"""The page of a running swarm: what the listener hears, as it comes."""
+"""Feed of a running swarm: samples as they arrive."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIVE_PEERS_PERIOD_S = 3.0  # between two looks at who else is there
 
 
 class Listener(Protocol):
-    """What we ask of a `ZenohListener`."""
+    """The used part of a `ZenohListener`."""
 
     def samples(self) -> AsyncIterator[Sample]: ...
     async def listen_to(self, key_expression: str) -> None: ...
@@ -55,7 +55,7 @@ class LiveFeed:
         return self._team.cameras
 
     async def run(self, audience: Audience) -> None:
-        """Until cancelled, or until the listener is closed."""
+        """Run until cancelled, or until the listener is closed."""
         async with asyncio.TaskGroup() as tasks:
             others = [
                 tasks.create_task(self._tell_state(audience), name="state"),

@@ -1,4 +1,4 @@
-"""Where an observer sees its teammates, in metres, as the page shows it on its map."""
+"""Positions of teammates relative to an observer, in metres, for the page's map."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SeenInMetres(NamedTuple):
 
 
 def metres(tracks: TracksMessage | None) -> list[SeenInMetres]:
-    """Of each teammate with a known place."""
+    """One entry per teammate with a known position."""
     if tracks is None:
         return []
     # What is nearer has no direction, and is a mistake or an attack.

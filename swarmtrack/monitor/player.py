@@ -32,7 +32,7 @@ SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
 
 class PlayedClock:
-    """Both clocks, as they stood in the recording."""
+    """Both clocks, as of the recording's time."""
 
     def __init__(self, t: float) -> None:
         self.t = t
@@ -80,7 +80,7 @@ class Playback:
 
     @property
     def team(self) -> MonitoredTeam:
-        """As it is at this step."""
+        """State of the team at this step."""
         return self._scene.team
 
     @property
@@ -106,7 +106,7 @@ class Playback:
         return state
 
     def seek(self, step: int) -> None:
-        """Forward or back; beyond the ends is at the ends."""
+        """Move forward or back, within the ends."""
         step = max(0, min(step, self.steps))
         checkpoint = step // STEPS_PER_CHECKPOINT
         if step < self.step or checkpoint > self.step // STEPS_PER_CHECKPOINT:
@@ -117,7 +117,7 @@ class Playback:
             self._take_step(self.step + 1)
 
     def view(self, drone_id: int, camera: int = 0) -> tuple[VideoMessage, TracksMessage | None] | None:
-        """What a drone's camera shows now, with its picture, and what it tracked then."""
+        """Current view of a drone's camera with its picture, and its tracks at that time."""
         view = self.views.get((drone_id, camera))
         if view is None:
             return None
@@ -151,7 +151,7 @@ class Playback:
 
 
 class RecordingPlayer:
-    """Plays it to the viewers, at the speed they ask for."""
+    """Plays a recording to the viewers, at the speed they ask for."""
 
     def __init__(self, playback: Playback, name: str) -> None:
         """name: of the recording, for people."""

@@ -35,35 +35,35 @@ HEARTBEAT_S = 5.0
 
 
 class Audience(Protocol):
-    """Those who look, for a feed."""
+    """Viewers of a feed."""
 
     @property
     def is_there(self) -> bool:
-        """Whether anybody looks."""
+        """Whether there is a viewer."""
 
     @property
     def watched(self) -> frozenset[ViewKey]:
-        """Whose pictures somebody has on the screen."""
+        """Cameras shown on at least one page."""
 
     def broadcast(self, state: dict[str, Any]) -> None: ...
     def show(self, key: ViewKey, view: VideoMessage, boxes: list[dict[str, Any]]) -> None: ...
 
 
 class Feed(Protocol):
-    """Where all comes from: a swarm that runs, or a recording."""
+    """Source of states and pictures: a running swarm, or a recording."""
 
     @property
     def cameras(self) -> tuple[ViewKey, ...]:
-        """What can be watched."""
+        """Cameras that can be watched."""
 
     async def run(self, audience: Audience) -> None:
-        """Until cancelled, or at its end."""
+        """Run until cancelled, or to its end."""
 
     def on_watched(self) -> None:
-        """Viewers, or what they watch, may be others."""
+        """The viewers, or what they watch, may have changed."""
 
     def on_wish(self, wish: dict[str, Any]) -> bool:
-        """Something else that a page wants; whether that is known here."""
+        """Another request of a page; returns whether it is known."""
 
 
 class OpenPage:
@@ -80,7 +80,7 @@ class OpenPage:
         self._unacknowledged = 0
 
     def offer(self, slot: str | ViewKey, message: str | bytes) -> None:
-        """The newest of its kind; it is sent once the viewer has drawn what it has."""
+        """Replace the message of a slot; it is sent once the viewer has drawn the earlier ones."""
         self.replaced += slot in self._waiting
         self._waiting[slot] = message
         self._news.set()
@@ -94,7 +94,7 @@ class OpenPage:
             self._drawn.set()
 
     async def send(self) -> None:
-        """Until the socket closes."""
+        """Send until the socket closes."""
         while not self._socket.closed:
             await self._news.wait()
             self._news.clear()
@@ -111,7 +111,7 @@ class OpenPage:
 
 
 class MonitorServer:
-    """Passes to every viewer what the feed tells and shows."""
+    """Passes the feed's state and pictures to every viewer."""
 
     def __init__(self, feed: Feed, guard: AccessGuard) -> None:
         self._feed = feed
@@ -126,7 +126,7 @@ class MonitorServer:
         return application
 
     async def run(self) -> None:
-        """Until cancelled, or until the feed ends."""
+        """Run until cancelled, or until the feed ends."""
         await self._feed.run(self)
 
     # --- for the feed -------------------------------------------------------------------

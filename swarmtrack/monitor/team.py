@@ -1,4 +1,4 @@
-"""A team as it is heard: who lives, how each is doing, what happened; and the state that the page shows."""
+"""State of a team from its messages, as the page shows it: live drones, their health, and events."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ STEEP = 0.2  # length of a camera's axis seen from above, below which it looks u
 
 @dataclass(slots=True)
 class Drone:
-    """One drone, as heard. Times are on our monotonic clock."""
+    """State of one drone. Times are on our monotonic clock."""
 
     boots: set[str] = field(default_factory=set)
     boot: str = ""
@@ -79,7 +79,7 @@ class Drone:
     told_events: tuple[str, ...] = ()
 
     def forget_what_it_said(self) -> None:
-        """As if it were here and had not spoken yet."""
+        """Reset to a drone that is alive and has sent nothing yet."""
         self.announcement = self.unread = self.health = self.rig = None
         self.tracks.clear()
         self.history.clear()
@@ -113,7 +113,7 @@ class MonitoredTeam:
         self._judged_at = -math.inf
 
     def on_sample(self, sample: Sample) -> CameraView | None:
-        """Take it in; a view is also handed back."""
+        """Add a sample; a view is also returned."""
         address = keys.parse(sample.key)
         if address is None or address.team != self.name:
             return None
@@ -161,7 +161,7 @@ class MonitoredTeam:
         return None
 
     def on_sign_of_life(self, drone_id: int, arrived: float) -> None:
-        """It said something that need not be read."""
+        """A drone sent a message whose content does not matter."""
         drone = self._drones.get(drone_id)
         if drone is not None:
             self._on_word(drone_id, drone, arrived)
@@ -179,7 +179,7 @@ class MonitoredTeam:
 
     @property
     def cameras(self) -> tuple[ViewKey, ...]:
-        """Of all drones."""
+        """Cameras of all drones."""
         return tuple(
             (drone_id, k) for drone_id, drone in self._drones.items() for k in range(_cameras_of(drone))
         )
@@ -222,7 +222,7 @@ class MonitoredTeam:
         self._reports, self._verdict = Reports(), TeamVerdict((), ())
 
     def state_at_end(self, end: FlightEnd) -> dict[str, Any]:
-        """What the page shows from now on, when a flight is over."""
+        """State of the page after the end of a flight."""
         self._note(None, end.text, end.kind)
         state = self._state_for_good()
         light = {"kind": end.kind, "text": end.text, "also": end.also}
@@ -243,8 +243,8 @@ class MonitoredTeam:
         return None if drone is None or camera not in drone.views else drone.views[camera][1]
 
     def refresh(self) -> None:
-        """Who is gone, and do they agree: to be asked a few times a second, also where nobody wants the state."""
-        with self.leaves_out("the table of identities"):
+        """Update departures and the verdict: to be called a few times per second, also without viewers."""
+        with self.leaves_out("who sees whom"):
             self._look(self._clock.now())
             return
         self.forget_untellable()
@@ -462,7 +462,7 @@ def _width_of(lens: LensMessage) -> float:
 
 
 def troubles(health: HealthMessage | None) -> list[str]:
-    """What is wrong with a drone by its own word, in words that follow its name."""
+    """Faults in a drone's own health message, worded to follow its name."""
     if health is None:
         return []
     names = {"autopilot": "its autopilot", "camera": "its camera", "zenoh": "the network"}

@@ -28,14 +28,14 @@ class Blob(NamedTuple):
 
 
 class BlobFile:
-    """A temporary file that nobody else sees, and that goes with us."""
+    """A private temporary file, deleted at the end of the process."""
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(prefix="swarmtrack-")  # noqa: SIM115 - it lives as long as we do
         self._size = 0
 
     def append(self, data: bytes) -> Blob:
-        """Raises RecordingError where the disk takes no more."""
+        """Append bytes. Raises RecordingError where the disk is full."""
         try:
             self._file.write(data)
         except OSError as error:

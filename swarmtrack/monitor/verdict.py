@@ -24,7 +24,8 @@ BETWEEN_M = 0.3  # m: by how much a drone leaves the straight line between two p
 
 
 class JudgedSighting(NamedTuple):
-    """One sighting, judged. called: the name it was given; whom: who stands there, None where nobody says so.
+    """One sighting with its verdict. called: the name it was given; whom: the drone at that position, None if
+    unknown.
 
     right: None where there was nothing to compare it with.
     """
@@ -45,7 +46,7 @@ class TeamVerdict:
 
 
 class Reports:
-    """What each drone said of late."""
+    """Recent reports of each drone."""
 
     def __init__(self) -> None:
         self._reports: dict[int, deque[SightingReport]] = {}
@@ -68,7 +69,7 @@ class Reports:
         return said[-1] if said else None
 
     def evaluate(self, alive: Iterable[int], now: float) -> TeamVerdict:
-        """Of the drones that live."""
+        """Verdict on the live drones."""
         lives = frozenset(alive)
         there = [drone_id for drone_id in lives if drone_id in self._reports]
         all_spoke = min((self._reports[i][-1].t for i in there), default=now)

@@ -1,4 +1,4 @@
-"""Where this drone itself is, over the last seconds, in the frame its team shares."""
+"""Pose of this drone over the last seconds, in the team frame."""
 
 from __future__ import annotations
 
@@ -50,17 +50,17 @@ class TeamPose:
 
     @property
     def position_sigma(self) -> float:
-        """Where one number must do for all axes, that of the worst [m]."""
+        """Standard deviation of the worst axis [m], where one number must do for all."""
         return math.sqrt(float(self.position_cov.diagonal().max()))
 
     @property
     def attitude_sigma(self) -> float:
-        """Of the worst axis [rad]."""
+        """Standard deviation of the worst axis [rad]."""
         return math.sqrt(float(self.attitude_cov.diagonal().max()))
 
     @property
     def tilt_sigma(self) -> float:
-        """Of the tilt, per axis [rad]."""
+        """Standard deviation of the tilt, per axis [rad]."""
         return math.sqrt(float(self.attitude_cov[0, 0]))
 
     def vaguer(self, sigma_m: float) -> TeamPose:
@@ -68,7 +68,7 @@ class TeamPose:
         return replace(self, position_cov=self.position_cov + sigma_m**2 * _EYE)
 
     def moved(self, by: Array) -> TeamPose:
-        """The same, and elsewhere by (3,) m."""
+        """The same pose moved by (3,) m."""
         return replace(self, position=self.position + by)
 
 
@@ -127,7 +127,7 @@ class EgoHistory:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What it had to mend or refuse."""
+        """Corrected and rejected poses."""
         return {
             "poses_out_of_order": self.out_of_order,
             "poses_without_place": self.without_position,
@@ -171,7 +171,7 @@ class EgoHistory:
             del self._poses[0]
 
     def fly(self, state: FlightState) -> None:
-        """Whether the drone flies, by its autopilot."""
+        """Set whether the drone flies, from its autopilot."""
         self.heading.fly(state)
 
     def restart(self) -> None:
@@ -244,7 +244,7 @@ class EgoHistory:
         return replace(pose, position=place + (t - middle) * velocity)
 
     def moved(self, drone_id: int, boot: str, sequence: int) -> MotionReport | None:
-        """How this drone moves, and how far it is from where it was first known to be; None where nobody knows.
+        """Velocity and displacement of this drone since its first known position; None while unknown.
 
         As of the middle of the last `EGO_VELOCITY_SPAN_S` of poses: their difference is the velocity of that time.
         """

@@ -95,7 +95,7 @@ class GyroHistory:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What it had to mend or refuse."""
+        """Corrected and rejected samples."""
         return {
             "gyro_gaps": self.gaps,
             "gyro_out_of_order": self.out_of_order,

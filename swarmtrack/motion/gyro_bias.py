@@ -58,7 +58,7 @@ class GyroBias:
         self.restart()
 
     def restart(self) -> None:
-        """The autopilot rebooted, and may have calibrated its gyro anew: what was found no longer holds."""
+        """Drop the estimate: the autopilot rebooted, and may have calibrated its gyro again."""
         self._gyro.bias = self._told
         self._bias = np.array(self._told)
         self._pending = None
@@ -70,7 +70,7 @@ class GyroBias:
 
     @property
     def found(self) -> BiasEstimate | None:
-        """What the flight so far says; None before it says more than anybody would guess."""
+        """Estimate so far; None while it is no better than the prior."""
         sigma = math.sqrt(self._v)
         return BiasEstimate(self._bias, sigma) if sigma < 0.5 * BIAS_PRIOR_SIGMA_RAD_S else None
 
@@ -83,11 +83,11 @@ class GyroBias:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What it refused."""
+        """Rejected attitudes."""
         return {"attitudes_refused": self.refused}
 
     def add_attitude(self, t: float, world_from_camera: Array, sigma: float) -> None:
-        """The autopilot's attitude at t: world_from_camera (3, 3), its sigma [rad] per axis."""
+        """Add the autopilot's attitude at t: world_from_camera (3, 3), its sigma [rad] per axis."""
         if not self._estimates:
             return
         if self._last is not None and t < self._last[0] + BIAS_ATTITUDE_PERIOD_S:

@@ -35,7 +35,7 @@ from swarmtrack.motion.priors import (
 
 
 class Turns(NamedTuple):
-    """How the camera turned between pairs of frames, by its own image.
+    """Rotations of the camera between pairs of frames, from its own images.
 
     start, end (n,) s: stamps of the frames, ascending; vector (n, 3) rad: about which axis and how far the camera
     itself turned, camera axes: exp(vector) takes coordinates in the later camera to those in the earlier one.
@@ -47,7 +47,7 @@ class Turns(NamedTuple):
 
 
 class HandEye(NamedTuple):
-    """What the turning said.
+    """Result of hand-eye calibration.
 
     camera_from_body (3, 3); time_offset_s: exposure on the gyro's clock = stamp + this; bias (3,) rad/s, body axes;
     rotation_sigma (3,) rad about the camera's axes; time_offset_sigma_s; excitation (3,) rad/s: root mean square
@@ -71,7 +71,7 @@ class HandEye(NamedTuple):
 
 
 class Agreement(NamedTuple):
-    """How the image's turns compare with those that the gyro and a known mounting tell.
+    """Agreement of the images' rotations with those from the gyro and a known mounting.
 
     gain (3,): image over gyro about each axis of the camera, 1 where both agree, −1 where one has the wrong sign;
     rate (3,) rad/s: root mean square of the gyro's rate about these axes; time_offset_s as in `HandEye`.

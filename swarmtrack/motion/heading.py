@@ -48,7 +48,7 @@ class HeadingSigma:
 
 
 class HeadingKnowledge:
-    """Told whether the drone flies, it knows how well the heading is known."""
+    """Quality of the own heading, given whether the drone flies."""
 
     def __init__(self, sigma: HeadingSigma) -> None:
         self._sigma = sigma
@@ -63,7 +63,9 @@ class HeadingKnowledge:
         self._since = state.airborne_since
 
     def add_pose(self, pose: EgoPose) -> None:
-        """A pose of the autopilot. One that never says whether it flies does so when it has left its place."""
+        """Add a pose of the autopilot. An autopilot without a flight state counts as flying once it has left its
+        place.
+        """
         if self._is_told or self._since is not None or pose.position is None:
             return
         far = max(TAKE_OFF_DISTANCE_M, TAKE_OFF_SIGMAS * max(pose.position_sigma, pose.vertical_sigma or 0.0))
@@ -82,11 +84,11 @@ class HeadingKnowledge:
 
     @property
     def is_on_ground(self) -> bool:
-        """Whether its autopilot says that the drone does not fly."""
+        """Whether the autopilot reports that the drone does not fly."""
         return self._is_told and self._since is None
 
     def is_aligned(self, t: float) -> bool:
-        """Whether the heading of t is as good as in flight."""
+        """Whether the heading at t is as good as in flight."""
         if self._since is None:
             return False
         since = max(self._since, self._rebooted_at)
@@ -125,7 +127,7 @@ class HeadingSteps:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What it found."""
+        """Detected steps."""
         return {"heading_steps": self.found}
 
     def restart(self) -> None:
@@ -135,8 +137,9 @@ class HeadingSteps:
         self._compared.clear()
 
     def add_pose(self, pose: EgoPose) -> list[float]:
-        """An attitude, which waits until the gyro has reached it. Returns the steps that were found meanwhile [rad],
-        clockwise from above."""
+        """Add an attitude, which waits until the gyro has reached it. Returns the steps found meanwhile [rad],
+        clockwise from above.
+        """
         if not self._waiting or pose.t > self._waiting[-1][0]:
             self._waiting.append((pose.t, pose.world_from_body))
         newest, steps = self._gyro.newest, []

@@ -1,4 +1,4 @@
-"""Whether the own position has jumped, as a receiver's does that loses its satellites and finds them again."""
+"""Detection of jumps of the own position, as when a receiver loses its satellites and finds them again."""
 
 from __future__ import annotations
 

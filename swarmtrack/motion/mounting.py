@@ -1,4 +1,4 @@
-"""How the camera sits on the drone."""
+"""Mounting of the camera on the drone."""
 
 from __future__ import annotations
 

@@ -92,7 +92,8 @@ def to_use(found: OffsetEstimate, used_s: float, start_s: float) -> float:
 
 
 class CameraClock:
-    """Stamps to exposures on the IMU's clock, by the offset that was told and, once it is sure, by the one found.
+    """Map from stamps to exposures on the IMU's clock, by the configured offset and, once it is certain, the
+    estimated one.
 
     Moved towards what was found no faster than `OFFSET_SLEW`, so that exposures stay in order and no scan comes out
     late; and only where the two differ by more than the estimate's own error, so that a good calibration is left alone.
@@ -107,7 +108,7 @@ class CameraClock:
 
     @property
     def found(self) -> OffsetEstimate | None:
-        """What the flight so far says; None while it says nothing."""
+        """Estimate so far; None without one."""
         return self._found
 
     def exposure(self, stamp: float, gyro: GyroHistory) -> float:
@@ -127,7 +128,7 @@ class CameraClock:
         return stamp + self.used_s
 
     def add_scan(self, stamp: float, scan: Scan, camera: PinholeCamera) -> None:
-        """What a scan with that stamp measured."""
+        """Add the detections of a scan with that stamp."""
         if self._evidence is None:
             return
         self._evidence.add_bearings(stamp, *bearings_of(scan, camera))
@@ -142,7 +143,7 @@ class _Bearings(NamedTuple):
 
 
 class TimeOffset:
-    """Evidence for each offset of a grid about `start_s`. Its times are stamps as the camera gives them."""
+    """Likelihood of each offset of a grid about `start_s`. Its times are stamps as the camera gives them."""
 
     def __init__(self, start_s: float = 0.0) -> None:
         self.start_s = start_s
@@ -159,7 +160,7 @@ class TimeOffset:
         """The likeliest offset; None while nothing was learned of it, or it lies at the end of what is searched."""
 
     def add_bearings(self, t: float, bearings: Array, variance: Array) -> None:
-        """A scan stamped t saw bearings (m, 3), unit vectors, of variance (m,) rad² per axis."""
+        """Add a scan stamped t with bearings (m, 3), unit vectors, of variance (m,) rad² per axis."""
         if self._waiting and t <= self._waiting[-1].t:
             return
         self._waiting.append(_Bearings(t, bearings, variance))

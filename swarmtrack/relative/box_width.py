@@ -1,4 +1,4 @@
-"""How wide a detector draws its boxes around an airframe of known span, and how far it is off in that."""
+"""Model of a detector's box widths around an airframe of known span, with their errors."""
 
 from __future__ import annotations
 

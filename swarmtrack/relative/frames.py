@@ -1,4 +1,4 @@
-"""Whose frame is off: sightings of each teammate are aligned with where it says it is.
+"""Frame errors: each teammate's sightings are aligned with its reported positions.
 
 An announced start is measured by hand, and a compass may be wrong by degrees. A teammate that reports its place while
 it flies across our view tells, by `alignment.py`, how its frame really stands to ours, and nothing of that uses the
@@ -56,7 +56,7 @@ class _Teammate:
 
 
 class Frames:
-    """Told of looks, announcements and reports."""
+    """Transforms to teammates' frames, from looks, announcements and reports."""
 
     def __init__(self, drone_id: int, parameters: RelativeParameters | None = None) -> None:
         self._drone_id = drone_id
@@ -68,20 +68,20 @@ class Frames:
         self._teammates: dict[int, _Teammate] = {}
 
     def add_look(self, look: TeamLook) -> None:
-        """A scan."""
+        """Add a scan's look."""
         self._looks.append(look)
         while self._looks[0].t < look.t - MEMORY_S:
             self._looks.popleft()
 
     def announce(self, said: Announcement) -> None:
-        """Where a teammate starts, by its own word. Of a new life of its process everything starts again."""
+        """A teammate announced its start. A new boot of its process resets all."""
         before = self._starts.get(said.drone_id)
         if before is None or before.boot != said.boot:
             self._starts[said.drone_id] = said
             self._teammates.pop(said.drone_id, None)
 
     def add_report(self, said: SightingReport) -> FrameNews | None:
-        """Where a teammate says it is, now and then while we see it: what changed."""
+        """Add a teammate's report of its position; returns what changed."""
         drone = said.observer
         start, sight = self._starts.get(drone), self._sight(said)
         if start is None or sight is None or said.boot != start.boot:
@@ -109,12 +109,12 @@ class Frames:
         return FrameNews(said.t, drone, float(np.linalg.norm(off)) if contradicts else None, found.turn)
 
     def transform(self, drone_id: int) -> FrameTransform | None:
-        """From what that teammate says to our frame; None where it is taken at its word."""
+        """Transform from a teammate's frame to ours; None where its frame is taken as announced."""
         mate = self._teammates.get(drone_id)
         return mate.found if mate is not None and mate.contradicts else None
 
     def report_in_ours(self, said: SightingReport) -> SightingReport:
-        """The same, in our frame."""
+        """The report transformed into our frame."""
         found = self.transform(said.observer)
         if found is None:
             return said
@@ -122,7 +122,7 @@ class Frames:
         return replace(said, position=found.place(said.position)[0], sightings=seen)
 
     def motion_in_ours(self, said: MotionReport) -> MotionReport:
-        """The same, along our axes."""
+        """The motion transformed to our axes."""
         found = self.transform(said.drone_id)
         if found is None:
             return said

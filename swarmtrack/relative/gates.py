@@ -1,4 +1,4 @@
-"""How far from what is believed a measurement may lie before it is not believed."""
+"""Gates: innovations beyond which a measurement is rejected."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ class _Word(NamedTuple):
 
 
 class SaidHeights:
-    """Told what teammates say of their heights; `sights` compares it with a scan."""
+    """Reported heights of teammates; `sights` compares them with a scan."""
 
     def __init__(self) -> None:
         self._moved: dict[int, tuple[str, deque[_Word]]] = {}
@@ -71,7 +71,7 @@ class SaidHeights:
         _remember(self._placed, said.observer, f"{said.boot} placed", word)
 
     def remove(self, drone_id: int) -> None:
-        """Nothing that was said in its name counts any more."""
+        """Drop all reports under this ID."""
         self._moved.pop(drone_id, None)
         self._placed.pop(drone_id, None)
 

@@ -1,4 +1,4 @@
-"""What the relative states believe of airframes, detectors, autopilots and how drones fly."""
+"""Parameters of the relative states: airframes, detectors, autopilots and flight dynamics."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from swarmtrack.relative.priors import USUAL_SPAN_M, USUAL_SPAN_SIGMA
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RelativeParameters:
-    """Of the filter in `log_range.py`. All sizes are relative, as sigmas of a logarithm."""
+    """Parameters of the filter in `log_range.py`. All sizes are relative, as sigmas of a logarithm."""
 
     airframe_span_m: float | None = None
     """From the outer rim of one rotor disc to that of its neighbour; None: it is not known, and the size tells a range
@@ -66,7 +66,7 @@ class RelativeParameters:
 
     @property
     def width_m(self) -> float:
-        """Of a teammate: how wide its box is without padding, at its distance."""
+        """Width of a teammate's box without padding, at its distance."""
         return (
             USUAL_SPAN_M if self.airframe_span_m is None else self.airframe_span_m
         ) * self.box_width.factor

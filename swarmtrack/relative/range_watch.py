@@ -25,14 +25,14 @@ class _Run(NamedTuple):
 
 
 class RangeWatch:
-    """Told of every distance to a teammate that is seen, and whether it was believed."""
+    """Takes every measured range to a teammate in view, and whether it was accepted."""
 
     def __init__(self) -> None:
         self._runs: dict[int, _Run] = {}
         self._told: set[int] = set()
 
     def add_range(self, said: RangeReport, *, believed: bool) -> RangeNews | None:
-        """News, where there is any."""
+        """Add a range; returns news, if any."""
         run = self._runs.get(said.other)
         if run is None or run.believed != believed:
             run = _Run(believed, said.t, 0)

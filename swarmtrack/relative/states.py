@@ -101,7 +101,7 @@ class _Moment:
 
 
 class RelativeStates:
-    """`observe` every scan, tell what was heard, and read `at` any time."""
+    """Filter of all teammates: `observe` every scan, add reports, and read `at` any time."""
 
     def __init__(self, parameters: RelativeParameters | None = None) -> None:
         self._p = parameters or RelativeParameters()
@@ -402,7 +402,7 @@ class RelativeStates:
                 self._rays[drone, seen.drone_id] = said.t
 
     def reset(self, drone_id: int) -> None:
-        """What a teammate said turned out to be in another frame: its state starts again, with its next ray."""
+        """Restart a teammate's state at its next ray, because its reports turned out to be in another frame."""
         self._said.pop(drone_id, None)
         self._reading = None
         now = self._now

@@ -169,28 +169,28 @@ class Agent:
             await self._autopilot.run(self)
 
     def on_imu(self, sample: ImuSample) -> None:
-        """From the autopilot, on the event loop."""
+        """Sample from the autopilot, on the event loop."""
         self.health.imu.tick()
         self.deliver(sample)
 
     def on_pose(self, pose: EgoPose) -> None:
-        """From the autopilot, on the event loop."""
+        """Pose from the autopilot, on the event loop."""
         self.deliver(pose)
         if pose.position is not None:
             self._team.on_position()
 
     def on_autopilot_reboot(self) -> None:
-        """From the autopilot, on the event loop."""
+        """Reboot of the autopilot, on the event loop."""
         self.deliver(AutopilotRebooted())
         if self._formation is not None:
             self._formation.on_reboot()
 
     def on_switch(self, t: float) -> None:
-        """From the autopilot, on the event loop."""
+        """Pilot's switch from the autopilot, on the event loop."""
         self._team.on_switch(t)
 
     def on_flight_state(self, state: FlightState) -> None:
-        """From the autopilot, on the event loop."""
+        """Flight state from the autopilot, on the event loop."""
         self.deliver(state)
 
     def on_found_flying(self) -> None:
@@ -305,7 +305,7 @@ class Agent:
         return False
 
     def deliver(self, event: Input) -> None:
-        """Onboard is told, and what comes of it is carried off: a scan may have waited for this very sample."""
+        """Pass an event to Onboard and publish the results: a scan may have waited for this very sample."""
         self._door.tell(event)
         self._carry_off()
 

@@ -1,4 +1,4 @@
-"""From a config to the parts of an agent: the one place that knows which class serves which entry."""
+"""Construction of an agent from a config: the one place that maps entries to classes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class Parts:
-    """What an agent is made of."""
+    """Parts of an agent."""
 
     config: DroneConfig
     clock: Clock

@@ -1,4 +1,4 @@
-"""What `--check` says: what an agent would do with a config, without doing it."""
+"""`--check`: what an agent would do with a config, without doing it."""
 
 from __future__ import annotations
 

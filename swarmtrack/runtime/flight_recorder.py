@@ -94,7 +94,7 @@ class FlightRecorder:
         self._put(partial(self._write_report, report, world_from_camera))
 
     def record_sighting(self, report: SightingReport) -> None:
-        """Told to the team; by its number the clocks of two recordings are compared."""
+        """Record a sighting sent to the team; its number aligns the clocks of two recordings."""
         self._put(partial(self._write_said, report))
 
     def health(self, message: HealthMessage) -> None:

@@ -48,7 +48,7 @@ class GuardLine(Protocol):
 
     @property
     def stale(self) -> int:
-        """Of these, zeros for want of a fresh decision."""
+        """Number of zeros sent for want of a fresh decision."""
         ...
 
     @property

@@ -55,7 +55,7 @@ class HealthFile:
             self.failed += 1
 
     def close(self) -> None:
-        """Whoever has ended has no health."""
+        """Remove the file: a process that ended has no health."""
         for path in (self._path, self._next):
             with suppress(OSError):
                 path.unlink()

@@ -14,7 +14,7 @@ log = logging.getLogger(__name__)
 
 
 class KeyRenewal:
-    """Looks at the files, and has the links made anew."""
+    """Watches the key files, and has the links reopened."""
 
     def __init__(self, watch: RosterWatch, transport: ZenohTransport) -> None:
         self._watch = watch

@@ -1,4 +1,4 @@
-"""How often, how long, at what cost: the numbers of the health message, over the last seconds."""
+"""Meters of rates, durations and costs for the health message, over the last seconds."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class LatencyMeter:
         self._values.append(max(seconds, 0.0))
 
     def read(self) -> Spread | None:
-        """Of the last values, or None before the first."""
+        """Percentiles of the last values, or None before the first."""
         if not self._values:
             return None
         p50, p95, top = np.percentile(self._values, [50, 95, 100])
@@ -64,7 +64,7 @@ class ProcessMeter:
         self._cpu_at = _cpu_seconds()
 
     def cpu_percent(self) -> float:
-        """Of one core, since the last call."""
+        """CPU time since the last call, in per cent of one core."""
         now, cpu = self._now(), _cpu_seconds()
         elapsed, used = now - self._read_at, cpu - self._cpu_at
         self._read_at, self._cpu_at = now, cpu

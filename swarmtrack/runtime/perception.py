@@ -1,4 +1,6 @@
-"""From a config to a drone's perception: the same in flight, in a replay, and wherever a flight is looked at again."""
+"""Construction of a drone's perception from a config: the same in flight, in a replay, and in every analysis of a
+flight.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A queue and a thread that write a recording: whoever has something to write never waits for the disk.
+"""Queue and thread that write a recording: producers never wait for the disk.
 
 The thread takes the queue every `RECORDING_THREAD_PERIOD_S`, writes it down and flushes the file. If the disk is slow
 the queue grows, up to `MAX_QUEUED`; what comes then is lost and counted. If the disk is full the writer says so and
@@ -74,7 +74,7 @@ class RecordingThread:
 
     @property
     def counters(self) -> WriterCounters:
-        """What became of the messages; `lost` is the writer's part of `lost` below."""
+        """Numbers of messages by outcome; `lost` is the writer's part of `lost` below."""
         return self._writer.counters if self._writer else WriterCounters()
 
     @property
@@ -128,5 +128,5 @@ class RecordingThread:
 
 
 def folder_name(utc: float, boot: str) -> str:
-    """Of a recording's folder: sorts by time."""
+    """Name of a recording's folder: sorts by time."""
     return f"{datetime.fromtimestamp(utc, UTC):%Y%m%dT%H%M%SZ}-{boot}"

@@ -63,7 +63,7 @@ class FlightEvent(msgspec.Struct, frozen=True):
 
 
 class TrueRecord(msgspec.Struct, frozen=True):
-    """What stands in the file of a drone in truth. t_s: world time; position and quaternion: world_from_body."""
+    """True state of a drone, as recorded. t_s: world time; position and quaternion: world_from_body."""
 
     t_s: float
     drone_id: int
@@ -204,17 +204,17 @@ _READ_TRUTH = msgspec.json.Decoder(TrueRecord)
 
 
 def read_heard(message: Message) -> Heard:
-    """Of `/heard`. Raises RecordingError."""
+    """Records of `/heard`. Raises RecordingError."""
     return _read(_READ_HEARD, message, "swarmtrack.Heard")
 
 
 def read_flight(message: Message) -> FlightEvent:
-    """Of `/flight`. Raises RecordingError."""
+    """Records of `/flight`. Raises RecordingError."""
     return _read(_READ_FLIGHT, message, "swarmtrack.Flight")
 
 
 def read_truth(message: Message) -> TrueRecord:
-    """Of `/truth`. Raises RecordingError."""
+    """Records of `/truth`. Raises RecordingError."""
     return _read(_READ_TRUTH, message, "swarmtrack.Truth")
 
 

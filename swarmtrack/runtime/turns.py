@@ -80,7 +80,7 @@ class NewestFrames:
             await asyncio.wait({self._next})
 
     async def get(self) -> Frame | None:
-        """The newest; None where it came to nothing (it was no image), and where the camera has ended."""
+        """The newest frame; None where it was not an image, and after the camera's end."""
         self._next = self._next or asyncio.create_task(self._take())
         done, _ = await asyncio.wait({self._next}, timeout=LONGEST_DECODE)
         if not done:

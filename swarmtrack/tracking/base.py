@@ -1,4 +1,4 @@
-"""What every tracker is, whatever its mathematics (DESIGN.md, contract 1).
+"""What all trackers have in common, whatever their mathematics (DESIGN.md, contract 1).
 
 A `Tracker` keeps the time, refuses what is late or unusable, and hands the rest to its `Filter`, which believes
 something about all targets at once: that is where the trackers differ.
@@ -30,7 +30,7 @@ from swarmtrack.tracking.target_motion import TURNS
 
 
 class Explained(NamedTuple):
-    """What a filter makes of a scan.
+    """A filter's explanation of a scan.
 
     pairs: the detections that confirmed tracks surely made, as they fitted before the update; clutter: the expected
     number of detections that no target made.
@@ -41,7 +41,7 @@ class Explained(NamedTuple):
 
 
 class Filter(Protocol):
-    """What one method believes of all targets, from exposure to exposure."""
+    """Belief of one method about all targets, from exposure to exposure."""
 
     Parameters: ClassVar[type[CommonParameters]]
 
@@ -68,7 +68,7 @@ class Filter(Protocol):
         ...
 
     def course(self) -> Course:
-        """How the table's rows go on from here, as long as the belief stands."""
+        """Prediction of the table's rows, valid until the belief changes."""
         ...
 
     def release(
@@ -139,18 +139,21 @@ class Tracker:
 
     @property
     def counters(self) -> Mapping[str, int]:
-        """What was refused or lost, by name, for health."""
-        return {"late_scans": self._late_scans, **self._sensor.counters, **self.filter.counters}
+        """Rejected and lost scans and tracks, by name, for health."""
+        return {"late_scans": self._late_scans, **self._sensor.counters, **self._filter.counters}
 
     @property
     def consistency(self) -> Consistency | None:
-        """Whether the filter, with the numbers that it was told, is as good as it thinks; None while too little was
-        detected. Of a noise that was told too small it says so, although `learn_noise` mends it."""
+        """Consistency of the filter with its configured noise; None with too few detections. It reports a
+        configured noise that is too small even where `learn_noise` corrects it.
+        """
         return self._innovations.consistency()
 
     @property
     def measured_noise(self) -> MeasuredNoise | None:
-        """What was learned of the noise; None while too little, and where it is not learned both ways."""
+        """Estimated noise; None with too few data, or where it is not learned both ways, below and above the
+        configured value.
+        """
         return self._sensor.noise.measured
 
     def measurement_noise(self, size: Array, score: Array | None) -> Array:
@@ -219,7 +222,9 @@ class Tracker:
 
     @property
     def surely_detected(self) -> Iterator[tuple[int, Array, Array]]:
-        """Of the last scan, what confirmed tracks surely made: their number, the detection (2,) px and its R (2, 2)."""
+        """Certain associations of confirmed tracks in the last scan: track number, the detection (2,) px and its R
+        (2, 2).
+        """
         if self._last is None:
             return
         pairs, measured = self._last

@@ -1,4 +1,4 @@
-"""Does the filter know how wrong it is? The normalised innovations squared of the last detections, beside their band.
+"""Consistency of the filter: normalised innovations squared of the last detections, with their band.
 
 What the filter expects of a detection of its target is N(H x, S); then νᵀ S⁻¹ ν has the χ² distribution with two
 degrees of freedom, cut off at the gate, and the mean of n of them lies in a band about its expectation. Above the band
@@ -34,7 +34,7 @@ class Consistency(NamedTuple):
 
 
 def sure_pairs(log_ratio: Array, existence: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows (k,) and columns (k,) of the n tracks and m detections that have nobody else in their gates.
+    """Rows (k,) and columns (k,) of the n tracks and m detections that are alone in each other's gates.
 
     log_ratio (n, m), −inf beyond the gate; existence (n,) before the scan. Only what was known before the scan picks
     them: a choice by how well they fit would make every filter look better than it is.

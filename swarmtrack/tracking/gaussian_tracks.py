@@ -1,4 +1,4 @@
-"""What filters have in common that show each track as one Gaussian: how tracks start, move, and come and go."""
+"""Common parts of filters that show each track as one Gaussian: birth, motion, and deletion of tracks."""
 
 from __future__ import annotations
 

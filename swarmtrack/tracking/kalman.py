@@ -26,7 +26,7 @@ from swarmtrack.tracking.sensor_model import Measurements
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KalmanParameters(CommonParameters):
-    """None beside the common ones."""
+    """The common parameters only."""
 
 
 class Kalman(GaussianTracks):

@@ -1,4 +1,4 @@
-"""How likely a target exists: born from a detection, carried by hits and misses, dropped in the end.
+"""Existence of a target: born from a detection, updated by hits and misses, deleted in the end.
 
 The recursion is that of the integrated PDA, Musicki, Evans & Stankovic (1994): existence r becomes r Λ / (1 − r + r Λ)
 with Λ = 1 − p_D for a scan that missed it and Λ = 1 − p_D + p_D N(y; 0, S) / κ for one that found it at y.

@@ -55,7 +55,7 @@ AS_TOLD = (AgileLevel(1.0, 1.0),)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Manoeuvres:
-    """What is known of how targets manoeuvre."""
+    """Manoeuvre model of targets."""
 
     agile_psd: float
     """px²/s³, of the agile model's acceleration over times longer than `lasting_s`."""
@@ -172,7 +172,7 @@ def _one_gaussian(mode: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
 
 
 def mean_acceleration(mixture: ModeMixture) -> Array:
-    """(n, 2) px/s²: nobody accelerates while calm."""
+    """Mean acceleration (n, 2) px/s²: zero in the calm mode."""
     return (mixture.mode[:, None, AGILE:] @ mixture.mean[:, AGILE:, ACCELERATION_OF_AGILE])[:, 0]
 
 
@@ -322,7 +322,7 @@ def acceleration_reach(dt: float, manoeuvres: Manoeuvres) -> tuple[float, float]
 def turned(
     mean: Array, cov: Array, rotation: Array, camera: PinholeCamera, turn: Turn
 ) -> tuple[Array, Array]:
-    """All modes with the camera; the acceleration turns as the velocity does."""
+    """Rotate all modes with the camera; the acceleration rotates like the velocity."""
     kinematic, F4 = turn(mean[..., KINEMATIC].reshape(-1, 4), rotation, camera)
     J = F4[:, 1::2, 1::2]
     F = np.zeros((len(F4), 6, 6))

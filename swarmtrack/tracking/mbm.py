@@ -195,7 +195,7 @@ class Weighed(NamedTuple):
 
 
 class Association(NamedTuple):
-    """What leaves made of a scan: row (…,) of each leaf, and column (…,) of its detection or `UNDETECTED`."""
+    """Associations of one scan: row (…,) of each leaf, and column (…,) of its detection or `UNDETECTED`."""
 
     leaf: Indices
     column: Indices
@@ -273,7 +273,7 @@ class Mbm:
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
     ) -> Passage:
-        """Of a track in dispute, what the published hypothesis says; the others go on without it."""
+        """Replace a disputed track's hypotheses by its published one; the other tracks keep theirs."""
         motion = manoeuvre.predict(
             self._published().select(np.flatnonzero(rows)),
             dt,
@@ -289,7 +289,7 @@ class Mbm:
         return Passage(leaving, motion)
 
     def copied(self, rows: NDArray[np.bool_]) -> Passage:
-        """Of a track in dispute, what the published hypothesis says."""
+        """The published hypothesis of disputed tracks."""
         return Passage(self.table.select(rows), self._published().select(np.flatnonzero(rows)))
 
     def adopt(self, arriving: Passage) -> None:

@@ -1,4 +1,4 @@
-"""How a target moves in the image: at constant velocity, and with the camera's rotation.
+"""Motion model of a target in the image: constant velocity, and the camera's rotation.
 
 State [u, vu, v, vv]: undistorted pixels and px/s; the velocity is the target's own, the flow of the rotation is not in
 it. Means are (n, 4), covariances (n, 4, 4): all tracks at once.
@@ -41,7 +41,9 @@ def turn_by_flow(mean: Array, camera_from_before: Array, camera: PinholeCamera) 
 
 
 def turn_into(before: PinholeCamera) -> Turn:
-    """From one camera's pixels to another's, that looks elsewhere: its axes from those. Lenses may be of two kinds."""
+    """Transform from one camera's pixels to those of another with another axis: its axes from those. Lenses may be
+    of two kinds.
+    """
 
     def turn(mean: Array, camera_from_before: Array, camera: PinholeCamera) -> tuple[Array, Array]:
         # Turned where all directions have a place: one that is ahead of either camera only has none with the other.
@@ -119,7 +121,7 @@ class FadingAcceleration:
 
 
 class Course:
-    """How n targets go on from means (n, 4) and covariances (n, 4, 4), for whoever asks for many times.
+    """Prediction of n targets from means (n, 4) and covariances (n, 4, 4) to many times.
 
     It says what `propagate` says. Before the camera's turn, all numbers are polynomials of the time that passes: their
     coefficients are worked out once, and one product tells the numbers of a time.

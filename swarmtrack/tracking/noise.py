@@ -1,4 +1,5 @@
-"""How much do detections really scatter, and how calmly do targets really fly? Learned in flight, both ways.
+"""The detections' real scatter and the calm process noise, learned in flight, below and above the configured
+values.
 
 Theory of operation. A filter is told R, the noise of a detection, and Q, that of its motion model. If both are right,
 its innovations ν are white with covariance S = H P Hᵀ + R. Whitened by the S that it assumed, e = S^(−1/2) ν, they tell
@@ -77,12 +78,12 @@ class Scale:
 
     @property
     def weight(self) -> float:
-        """How many detections it rests on, by their information."""
+        """Effective number of detections behind it, by their information."""
         return self._weight
 
     @property
     def is_known(self) -> bool:
-        """Whether it is measured rather than told."""
+        """Whether it is measured rather than configured."""
         return self._weight > MEASURED_SCALE_INFORMATION * self._precision
 
     def add(self, ratio: float, information: float) -> None:
@@ -111,7 +112,7 @@ class MeasuredNoise(NamedTuple):
 
 
 class NoiseScales:
-    """By what R, per class of sizes, and the calm motion's noise are multiplied. motion: whether that is learned."""
+    """Factors on R, per class of sizes, and on the calm motion's noise. motion: whether the latter is estimated."""
 
     def __init__(self, *, motion: bool) -> None:
         self._R = [Scale(LOG_R_PRIOR_SIGMA, *R_SCALE_BOUNDS) for _ in range(POINTS + 1)]
@@ -143,7 +144,9 @@ class NoiseScales:
         return R
 
     def update(self, pairs: SurePairs, size: Array, *, steady: bool) -> None:
-        """Of one scan: size (m, 2) px of its detections; steady: the camera turns as it did in the scan before."""
+        """Update from one scan: size (m, 2) px of its detections; steady: the camera turns as it did in the scan
+        before.
+        """
         before, self._before = self._before, {}
         kinds = size_class(size[pairs.detection]).tolist()
         columns = (pairs.track, pairs.whitened, pairs.share, pairs.weight)

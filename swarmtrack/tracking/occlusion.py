@@ -1,4 +1,4 @@
-"""Who hides whom: two targets in nearly the same direction, of which the detector finds one, or one box around both."""
+"""Occlusion: two targets in nearly the same direction, of which the detector finds one, or one box around both."""
 
 from __future__ import annotations
 

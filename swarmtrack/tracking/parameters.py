@@ -1,4 +1,4 @@
-"""What every tracker assumes about the sensor and the targets. Each tracker has more of its own."""
+"""Common parameters of all trackers about the sensor and the targets. Each tracker has more of its own."""
 
 from __future__ import annotations
 

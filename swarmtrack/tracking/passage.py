@@ -71,7 +71,7 @@ class Passage(NamedTuple):
         return Passage(table, ModeMixture(mean, cov * (by_axis[:, None] * by_axis), mode))
 
     def moved(self, by: Array, cov: Array) -> Passage:
-        """The same tracks by (n, 2) px beside where they were, and as much less certain; cov (n, 2, 2) px²."""
+        """The same tracks moved by (n, 2) px, and as much less certain; cov (n, 2, 2) px²."""
         mean, spread = self.table.mean.copy(), self.table.cov.copy()
         mean[:, POSITION] += by
         spread[:, POSITION, POSITION] += cov

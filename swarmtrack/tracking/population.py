@@ -1,4 +1,4 @@
-"""Who is tracked: the rows of a table from their birth to their end, by the rules that all trackers share."""
+"""Population of a tracker: rows of a table from birth to deletion, by the rules that all trackers share."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the detections of one frame to the scan that a tracker takes."""
+"""Conversion of one frame's detections to the scan that a tracker takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the camera and its detector make of the targets: which are seen, how well, and what else looks like one."""
+"""Sensor model of the camera and its detector: detection probability, noise, and clutter."""
 
 from __future__ import annotations
 
@@ -38,9 +38,10 @@ from swarmtrack.tracking.priors import (
 
 
 class Outliers(NamedTuple):
-    """What a scan's detections are where they are off by more than their noise. share (m,): how often; R (m, 2, 2) px²:
-    by how much; misdrawn: whether it is known from looks which they are. A box that looks like any other and jumps is
-    still the target's; one that looks odd was drawn round something else as well."""
+    """Detections that are off by more than their noise. share (m,): how often; R (m, 2, 2) px²: by how much;
+    misdrawn: whether their looks show which they are. A box that looks normal and jumps is still the target's;
+    one that looks odd was drawn around another object as well.
+    """
 
     share: Array
     R: Array

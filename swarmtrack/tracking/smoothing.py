@@ -1,4 +1,4 @@
-"""What a tracker thinks of a moment ago, knowing what came since: a fixed-lag smoother behind any filter.
+"""Fixed-lag smoother behind any filter: past states given the scans that came later.
 
 Theory of operation. At each scan the estimates are noted twice, as predicted and as updated, with the Jacobian F of
 the motion from the scan before, the camera's turn included. To look back is the backward pass of Rauch, Tung & Striebel
@@ -24,7 +24,9 @@ from swarmtrack.tracking.table import TrackTable
 
 
 class PredictedTracks(NamedTuple):
-    """What was known of tracks id (n,) before a scan. mean (n, 4), cov (n, 4, 4); F (n, 4, 4): from the scan before."""
+    """Prediction of tracks id (n,) for a scan. mean (n, 4), cov (n, 4, 4); F (n, 4, 4): transition from the scan
+    before.
+    """
 
     id: NDArray[np.int64]
     mean: Array

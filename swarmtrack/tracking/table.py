@@ -1,4 +1,4 @@
-"""All tracks of one tracker as arrays, a row a track: no object per track in the hot path."""
+"""All tracks of one tracker as arrays, one row per track: no object per track in the hot path."""
 
 from __future__ import annotations
 
