@@ -158,7 +158,7 @@ def require_extra(extra: str, *packages: str, of: str) -> None:
 
 
 def page(name: str) -> str:
-    """How a page of the documentation is named to somebody who may have installed the program without it."""
+    """How a page of the documentation is named to a user who may have installed the program without it."""
     file = Path(__file__).parents[1] / "docs" / name
     if not file.is_file():
         return f"docs/{name} in swarmtrack's source"

@@ -26,7 +26,8 @@ class Engagement(NamedTuple):
 
 class LocalSetpoint(NamedTuple):
     """What is sent: velocity [m/s] in the axes of the autopilot's local frame (NED), yaw_rate [rad/s]; and whose
-    `setpoint` it is, in the team's axes. room [m]: from the drone down to its least height, NaN where nobody knows."""
+    `setpoint` it is, in the team's axes. room [m]: from the drone down to its least height, NaN if unknown.
+    """
 
     velocity: Velocity
     yaw_rate: float

@@ -92,7 +92,7 @@ ZERO = Command(GUARD_STANDSTILL, 0.0)
 
 
 class Guard:
-    """Told of decisions and of time [s]; `due` says when `command` is to be asked next, at the latest."""
+    """Takes decisions and the time [s]; `due` says when `command` is to be asked next, at the latest."""
 
     def __init__(self, limits: GuardLimits) -> None:
         self.limits = limits
@@ -140,7 +140,7 @@ class Guard:
         return True
 
     def stands(self, now: float) -> None:
-        """Zeros are wanted just now, though nobody is engaged: PX4 asks for them."""
+        """Zeros are wanted just now, without an engagement: PX4 asks for them."""
         self._stood_at = now
 
     def end(self, number: int) -> None:

@@ -110,7 +110,7 @@ class EgoPose:
 
 @dataclass(frozen=True, slots=True)
 class AutopilotRebooted:
-    """Its clock and its local frame begin anew; the drone itself is where it was."""
+    """Its clock and its local frame start again; the drone itself is where it was."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +237,7 @@ class Track(NamedTuple):
 
 
 class MotionProof(NamedTuple):
-    """That how a track moves says alone who it is: how surely, and since when [s]."""
+    """A name confirmed by the track's motion alone: its probability, and since when [s]."""
 
     probability: float
     since: float
@@ -251,8 +251,9 @@ RELATIVE_SOURCES: tuple[RelativeSource, ...] = get_args(RelativeSource)
 class RelativeState:
     """Where an identified teammate is, and how it moves, relative to this drone's camera, in team axes (NED).
 
-    position (3,) m: the teammate minus the own camera; velocity (3,) m/s: of one against the other; cov (6, 6) of both.
-    range_sigma_log: how well the distance is known, as a share of it. sources: what told of it beside the direction.
+    position (3,) m: the teammate minus the own camera; velocity (3,) m/s: of one against the other; cov (6, 6) of
+    both. range_sigma_log: how well the distance is known, as a share of it. sources: measurements used in addition to
+    the direction.
     """
 
     drone_id: int
@@ -279,8 +280,9 @@ class RelativeState:
         range_sigma_log: Sequence[float],
         sources: Sequence[tuple[RelativeSource, ...]],
     ) -> list[RelativeState]:
-        """Of n teammates at once: keys, drone and track of each; mean (n, 6) m and m/s, cov (n, 6, 6). Checked as a
-        whole, which takes a tenth of the time."""
+        """States of n teammates at once: keys, drone and track of each; mean (n, 6) m and m/s, cov (n, 6, 6).
+        Checked as a whole, which takes a tenth of the time.
+        """
         n = len(keys)
         _check(mean, (n, 6), f"{cls.__name__}.of_rows: mean")
         _check(cov, (n, 6, 6), f"{cls.__name__}.of_rows: cov")
@@ -301,9 +303,10 @@ class RelativeState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IdentifiedTrack:
-    """A track and who it is. `identity_probability`: that whoever is stated is there; 0 while unknown. It falls with
-    the track's own while that is not detected. proof: where motion alone says the same. relative: where that teammate
-    is, in metres, at the time of the scan; None while nothing tells its range."""
+    """A track and who it is. `identity_probability`: that the stated identity is right; 0 while unknown. It falls
+    with the track's own while that is not detected. proof: where motion alone says the same. relative: where
+    that teammate is, in metres, at the time of the scan; None while nothing tells its range.
+    """
 
     track: Track
     identity: Identity
@@ -348,7 +351,7 @@ class DoubtNews(NamedTuple):
 
 
 class PoseWanted(NamedTuple):
-    """That drone should announce its pose again: its last one is too old to tell who is who."""
+    """Request to a drone to announce its pose again: the last one is too old to identify it by."""
 
     drone_id: int
 
@@ -415,7 +418,9 @@ class PeerExpelled:
 
 @dataclass(frozen=True, slots=True)
 class AnnouncementRequested:
-    """Somebody wants our pose anew: a track of theirs may be us, and our last announcement is too old to tell."""
+    """A teammate requests our pose again: one of its tracks may be us, and our last announcement is too old to
+    decide.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -436,7 +441,7 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SightingReport:
-    """Whom one drone sees, and where it stands while it does.
+    """Teammates in view of one drone, and its own position at that time.
 
     t: exposure, on *our* monotonic clock (converted by the transport), t_sigma its uncertainty; position (3,) m of the
     observer's camera in the team frame, position_sigma per axis. known: whose announcements the observer has.

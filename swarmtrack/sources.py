@@ -68,7 +68,7 @@ class DetectionSource(Protocol):
 
 
 class AutopilotListener(Protocol):
-    """Who is told what the autopilot says; called on the event loop, must return at once."""
+    """Listener to an autopilot's events; called on the event loop, must return at once."""
 
     def on_imu(self, sample: ImuSample) -> None: ...
     def on_pose(self, pose: EgoPose) -> None: ...

@@ -2,8 +2,8 @@
 
 GLOBAL_POSITION_INT is the position of the autopilot's estimator in degrees, so each message stands for itself.
 LOCAL_POSITION_NED is finer (it has no grid of 11 mm), but counts from an origin that another message tells, that PX4
-moves when its estimator starts anew and ArduPilot sets at some moment after the first fix: beside GPS's own errors the
-grid is nothing, beside an origin taken for another the whole frame is.
+moves when its estimator restarts and ArduPilot sets at some moment after the first fix: the grid is negligible against
+GPS's own errors, a mistaken origin shifts the whole frame.
 
 Whether to believe it is told by GPS_RAW_INT: both autopilots go on sending positions without a fix, ArduPilot at
 0° N 0° E. Its `h_acc` and `v_acc` are the receiver's own standard deviations, of which the second is often twice the

@@ -98,7 +98,7 @@ class MavlinkAutopilot:
     gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched; engagement:
     is told of the flight mode. Raises `SourceError` for what can never work.
 
-    Beside `run`, `opened`, `received` and `tick` are all there is to it: told the time, it needs no event loop.
+    Apart from `run`, its interface is `opened`, `received` and `tick`, which take the time and need no event loop.
     """
 
     def __init__(

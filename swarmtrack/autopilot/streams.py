@@ -409,9 +409,9 @@ class Cadence:
     gaps: intervals of at least GAP times the usual one; lost: samples missing in them; repeated: dropped ones.
 
     A sender whose rate is not a whole part of its sensor's leaves samples out by a rule: 200 of 250 Hz go as 4, 4, 4,
-    8 ms. Whoever learned 4 ms before sees gaps, but nothing was lost. Random losses at any rate have at most 0.385 of
-    their gaps alike (of one length, after one of two neighbouring runs: (1 - p) p (2 - p) at p = 0.42), so where most
-    of the last ones are, they are a rhythm: they count as lost no more, nor do those that taught us so.
+    8 ms. A receiver that learned 4 ms earlier sees gaps, but nothing was lost. Random losses at any rate have at most
+    0.385 of their gaps alike (of one length, after one of two neighbouring runs: (1 - p) p (2 - p) at p = 0.42), so
+    where most of the last ones are, they are a rhythm: they count as lost no more, nor do those that taught us so.
     """
 
     GAP = 1.8  # of the usual interval: ArduPilot's loop makes 5.0 and 7.5 ms of 6 ms

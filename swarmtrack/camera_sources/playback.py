@@ -1,8 +1,8 @@
 """Playback of a recording as a camera, in real time or as fast as possible.
 
-A worker thread reads ahead by one picture. At pace `realtime` it shows each picture at its time, and one that
-nobody took gives way to the next, as with a camera. At pace `fast` it waits until the last one was taken, so every
-picture is seen, in order. The media time of the first picture is `clock.now()` at the start.
+A worker thread reads ahead by one picture. At pace `realtime` it shows each picture at its time, and one that was not
+taken gives way to the next, as with a camera. At pace `fast` it waits until the last one was taken, so every picture
+is seen, in order. The media time of the first picture is `clock.now()` at the start.
 """
 
 from __future__ import annotations

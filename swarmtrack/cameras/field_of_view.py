@@ -32,8 +32,10 @@ def outline(camera: PinholeCamera, per_side: int = OUTLINE_POINTS_PER_SIDE) -> A
 
 
 def half_angles(camera: PinholeCamera) -> tuple[float, float]:
-    """Half of the width and of the height of what the camera sees, through the middle of its lens [rad]; of a lens that
-    does not sit in the middle, half of the whole, and of one beside the picture, through what is nearest to it."""
+    """Half of the width and of the height of what the camera sees, through the middle of its lens [rad]; of a lens
+    that does not sit in the middle, half of the whole, and of one outside the picture, through what is nearest
+    to it.
+    """
     u, v = camera.middle
     right, bottom = camera.width - 0.5, camera.height - 0.5
     ends = np.array([[-0.5, v], [right, v], [u, -0.5], [u, bottom]])
@@ -55,7 +57,7 @@ def outline_around(camera: PinholeCamera, body_from_camera: Pose) -> Array:
     the back: what lies behind goes on beyond ±π.
 
     Of a camera that has what is right above or below the drone in view, the line goes around by 2π and closes along
-    that pole. Of one that sees both, it runs along both, and in between beside what that camera does not see.
+    that pole. Of one that sees both, it runs along both, and in between along what that camera does not see.
     """
     border = around(body_from_camera, outline(camera))
     line = np.vstack([border, border[:1]])

@@ -1,10 +1,10 @@
 """Whether a camera sits as it was told, by how its picture moves while the drone turns.
 
-Theory of operation. Turned by the gyro into a frame that does not turn, the bearings of a target change smoothly if the
-camera sits as it was told (`bearing_filters.py`). Of one that hangs upside down they seem to move twice as fast as the
-drone turns. So the same filters follow them for the mounting that was told and for others, and what tells these apart
-is how surprised each one's are. A target that keeps a constant speed, as one does that the drone turns after, speaks
-for nobody; where the turn begins, ends or changes, the wrong mounting makes all targets jump.
+Theory of operation. Turned by the gyro into a frame that does not turn, the bearings of a target change smoothly if
+the camera sits as it was told (`bearing_filters.py`). Of one that hangs upside down they seem to move twice as fast as
+the drone turns. So the same filters follow them for the mounting that was told and for others, and what tells these
+apart is how surprised each one's are. A target that keeps a constant speed, as one does that the drone turns after, is
+evidence for neither; where the turn begins, ends or changes, the wrong mounting makes all targets jump.
 
 The only teammate in a picture may speed up in step with the drone's own turn, as one does that stands nearer than
 what the drone circles. So only what happens while the drone turns fast, or faster and faster, counts: hardly any

@@ -1,12 +1,12 @@
 """The cameras of one drone: a tracker for each, and tracks that go over from one to the next.
 
-Theory of operation. Each track is known in the pixels of one camera, that which would see it now: a chart of the sphere
-around the drone. A scan of a camera first takes over from the others whatever should be in its picture; to the tracker
-this is one more turn, by the angle between the two cameras, and to the track nothing happened: its number, its motion,
-its doubts go along. Where two pictures overlap a track goes back and forth, so that every scan of either updates it.
-Nobody knows exactly where a picture ends: a track that only may be in it is lent for one scan, so that it explains its
-detection, and if it is not detected it never was away.
-With one camera nothing of this is ever done, and all is as it was.
+Theory of operation. Each track is known in the pixels of one camera, that which would see it now: a chart of the
+sphere around the drone. A scan of a camera first takes over from the others whatever should be in its picture; to the
+tracker this is one more turn, by the angle between the two cameras, and to the track nothing happened: its number, its
+motion, its doubts go along. Where two pictures overlap a track goes back and forth, so that every scan of either
+updates it. The exact border of a picture is unknown: a track that only may be in it is lent for one scan, so that it
+explains its detection, and if it is not detected it never was away. With one camera nothing of this is ever done, and
+all is as it was.
 
 Exposures are not synchronised. A track goes over to the time of the scan that takes it, some hundredths of a second
 back where that was exposed before its last one.
@@ -188,7 +188,7 @@ class Rig:
 
     @property
     def found_turns(self) -> dict[tuple[int, int], FoundTurn]:
-        """By pairs of cameras between which tracks have gone: how the second is turned beside what was told."""
+        """By pairs of cameras between which tracks have gone: the second's rotation relative to the configured one."""
         return {pair: seam.found for pair, seam in self._seams.items() if seam.crossings or seam.compared}
 
     def turn_variance(self, camera: int, orientation: Orientation) -> float:
@@ -196,8 +196,9 @@ class Rig:
         return rotation_between(self._orientations[camera] or orientation, orientation).variance
 
     def set_apart(self, cameras: frozenset[int]) -> None:
-        """From now on these cameras' pictures are each a world of its own: nobody goes over to them, or from them. For
-        those that do not sit as they were told."""
+        """From now on these cameras' pictures are each a world of its own: no track is handed over to them, or from
+        them. For those that do not sit as they were told.
+        """
         self._apart = cameras
         self._arrived = {id: way for id, way in self._arrived.items() if not {way.giver, way.taker} & cameras}
         self._looks.clear()
@@ -657,9 +658,10 @@ def _of_boxes(here: Array, one: PinholeCamera, there: Array, other: PinholeCamer
 
 
 def parallax(pixel: Array, size: Array, camera: PinholeCamera, baseline: Array) -> tuple[Array, Array]:
-    """By how far (n, 2) px tracks at pixels (n, 2), their boxes (n, 2) px wide and high, move that are looked at from
-    `baseline` (3,) m beside, camera axes, and the covariance (n, 2, 2) px² of that: a box tells the distance within a
-    factor, without one it is hardly known."""
+    """Shift (n, 2) px of tracks at pixels (n, 2), with boxes (n, 2) px wide and high, when seen from `baseline`
+    (3,) m away, camera axes, and its covariance (n, 2, 2) px²: a box tells the distance within a factor, without
+    one it is hardly known.
+    """
     n = len(pixel)
     if not baseline.any():
         return np.zeros((n, 2)), np.zeros((n, 2, 2))

@@ -50,8 +50,10 @@ _OF_A_STAY = np.diag([1.0 / SEAM_DISTANCE_SIGMA**2, 1.0 / SEAM_LASTING_PX2, 1.0 
 
 
 class FoundTurn(NamedTuple):
-    """By how much a camera is turned against another beside what was told: angle (3,) rad in its axes; sigma rad, of
-    the angle that is known worst; crossings that told it; comparisons of detections, where two pictures overlap."""
+    """Rotation of a camera relative to another, on top of the configured one: angle (3,) rad in its axes; sigma
+    rad, of the angle that is known worst; crossings that told it; comparisons of detections, where two pictures
+    overlap.
+    """
 
     angle: Array
     sigma: float
@@ -60,9 +62,10 @@ class FoundTurn(NamedTuple):
 
 
 class SeamNews(NamedTuple):
-    """How the second of two cameras sits beside the first, by crossings: turned by so much beside what was told, so
-    that body_from_second (3, 3) would fit; both None: targets that leave one do not come into the other, so that cables
-    may be swapped, or a mounting is far off."""
+    """Mounting of the second of two cameras relative to the first, by crossings: turned by so much from the
+    configured one, so that body_from_second (3, 3) would fit; both None: targets that leave one do not come into
+    the other, so that cables may be swapped, or a mounting is far off.
+    """
 
     first: int
     second: int
@@ -89,8 +92,9 @@ class _Stay:
 
 
 class SeamDisagreement(NamedTuple):
-    """Of the two pictures about one target, beside δ as it is used: the parallax is off by a factor 1 + s, and the
-    second picture shows it shifted (2,) px; cov (6, 6) of δ, s and that shift."""
+    """Disagreement of the two pictures about one target, relative to the δ in use: the parallax is off by a factor
+    1 + s, and the second picture shows it shifted (2,) px; cov (6, 6) of δ, s and that shift.
+    """
 
     s: float
     shift: Array
@@ -144,7 +148,7 @@ class Seam:
 
     @property
     def is_turned(self) -> bool:
-        """Whether it is sure, and worth a word, that the second camera is turned beside what was told."""
+        """Whether the second camera's rotation certainly and noticeably differs from the configured one."""
         learned = self._of_all()[0] - self._prior
         sure = float(self._angle @ learned @ self._angle) > SEAM_TURN_GATE
         return (

@@ -27,9 +27,9 @@ class Ranging:
         async with Ranging(1, team="red") as ranging:
             await ranging.say(2, distance_m=8.42, sigma_m=0.1)
 
-    drone_id: the drone that carries the radio. team, config, connect, insecure: as of `Swarm`; connect: where the agent
-    of this drone listens, if not on this machine. keys: the folder of the drone itself (`drone-1`), as nobody else may
-    speak for it.
+    drone_id: the drone that carries the radio. team, config, connect, insecure: as of `Swarm`; connect: where the
+    agent of this drone listens, if not on this machine. keys: the folder of the drone itself (`drone-1`), because no
+    other name may publish for it.
 
     Raises ConfigError, KeysError or TransportError where these contradict each other, TransportError on entering where
     no router answers. Only one event loop may use it.

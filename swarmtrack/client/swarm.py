@@ -31,7 +31,8 @@ QUIET_KINDS: Final = (Kind.CAMERA, Kind.TRACKS, Kind.HEALTH)
 
 
 class Swarm:
-    """Hears a team without being of it. It costs the drones one more subscriber, and nobody learns of it.
+    """Receives a team's messages without being a member. It costs the drones one more subscriber, and stays
+    unnoticed.
 
         async with Swarm(team="red") as swarm:
             async for sight in swarm.tracks(1):

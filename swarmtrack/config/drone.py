@@ -110,7 +110,7 @@ class Start(Section):
 
     @property
     def has_unknown_sigma(self) -> bool:
-        """Whether nobody wrote how well a measured start is known; a receiver says so itself."""
+        """Whether a measured start is configured without its uncertainty; a receiver says so itself."""
         return self.source != "gps" and self.stated_sigma_m is None
 
     @property
@@ -696,7 +696,7 @@ class DroneConfig(LayeredConfig):
 
     @property
     def flies_in_formation(self) -> bool:
-        """Whether this drone's agent may fly it: it is a follower, and somebody has enabled that."""
+        """Whether this drone's agent may fly it: it is a follower, and that is enabled."""
         return self.formation.enabled and self.formation.parameters(self.drone.id) is not None
 
     @property

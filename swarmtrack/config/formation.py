@@ -75,7 +75,8 @@ class FormationLimits(Section):
 
 
 class TeamFormation(Section):
-    """[formation]: the leader and the slots (docs/formation.md). The same for all of a team, but for `enabled`.
+    """[formation]: who leads, and every drone's slot (docs/formation.md). The same for all of a team, but for
+    `enabled`.
 
     Without `leader` there is no formation.
     """
@@ -180,7 +181,7 @@ class TeamFormation(Section):
         )
 
     def parameters(self, drone_id: int) -> FormationParameters | None:
-        """Of a follower; None of who follows nobody."""
+        """Parameters of a follower; None for a drone without a reference."""
         plan = self.plan()
         if plan is None or drone_id not in plan.references:
             return None

@@ -106,7 +106,7 @@ class CodeSection(Section):
 
 
 class PlanSection(Section):
-    """Trajectories that everybody has."""
+    """Trajectories that all drones have."""
 
     file: Path = Field(description="CSV with the columns id, t_s, north_m, east_m, down_m")
     begins: Utc = Field(description="UTC at t_s = 0, such as 2026-05-01T10:00:00Z")
@@ -205,7 +205,7 @@ def take_own_start(layers: Layers) -> None:
 
 
 def roster_problems(layers: Layers) -> list[Problem]:
-    """Of a team whose file lists its drones, this is one of them, and starts where that file says."""
+    """In a team whose file lists its drones, this must be one of them, and start at the listed place."""
     team = layers.table.get("team", {})
     drones = team.get("drones") if isinstance(team, dict) else None
     drone, filed = _own_entries(layers)
@@ -232,7 +232,7 @@ def roster_problems(layers: Layers) -> list[Problem]:
 
 
 def switch_problems(layers: Layers) -> list[Problem]:
-    """Who reads the pilot's switch needs an autopilot that reports it."""
+    """Reading the pilot's switch needs an autopilot that reports it."""
     code = _table(_table(layers.table.get("team")).get("code"))
     link = _table(layers.table.get("autopilot")).get("link", "none")
     if "switch" not in code or link not in ("none", "sim"):

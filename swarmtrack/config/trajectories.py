@@ -3,9 +3,9 @@
     id,t_s,north_m,east_m,down_m
     1,0.00,0.000,0.000,0.000
 
-t_s counts from the beginning that everybody agreed on. The places are in the team frame, or from wherever the drone
+t_s counts from the beginning that all drones agreed on. The places are in the team frame, or from wherever the drone
 holds its place: readers take differences. `swarmtrack mission sway` writes such files, and `[team] plan` reads them.
-More columns may follow those five; they are for whoever flies the file.
+More columns may follow those five; they are for the pilot of the file.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MAX_METRES, MAX_SECONDS = 1e5, 1e5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledTrajectory:
-    """Of one drone: t (n,) s, increasing, n ≥ 2; position (n, 3) m, NED."""
+    """Trajectory of one drone: t (n,) s, increasing, n ≥ 2; position (n, 3) m, NED."""
 
     t: Array
     position: Array

@@ -49,8 +49,9 @@ class Percentiles(NamedTuple):
 
 
 class Latency(NamedTuple):
-    """Of the last `LATENCY_FRAMES` frames. pre: letterbox and layout; infer: the net; post: decoding,
-    suppression, the second stage and what moved."""
+    """Latencies of the last `LATENCY_FRAMES` frames. pre: letterbox and layout; infer: the net; post: decoding,
+    suppression, the second stage and what moved.
+    """
 
     pre: Percentiles
     infer: Percentiles

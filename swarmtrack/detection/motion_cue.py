@@ -1,4 +1,5 @@
-"""What moves against the background is likelier a drone: each frame beside one of a tenth of a second before.
+"""Motion against the background as evidence for a drone: each frame is compared with one a tenth of a second
+earlier.
 
 Theory of operation. The earlier frame is seen through the turn that the gyro measured in between, so that what is far
 away lies on itself. Within a candidate's box, by how much did pixels become darker, or brighter (95th percentile of the
@@ -8,7 +9,7 @@ The odds of the candidate are multiplied by half the ratio of the two, where tha
     odds' = odds · max(1, ½ (d_in + 2) / (d_around + 2))
 
 Half, because what stands still changes a little, too: a ratio of 1.5 is nothing special for a fence post, and nineteen
-drones in twenty have 3 or more. By direction, because a fast drone leaves its place beside its box as brighter as it
+drones in twenty have 3 or more. By direction, because a fast drone leaves its place next to its box as brighter as it
 makes the new one darker. Odds are never lowered: a drone that hovers before one that hovers stands still, and is none
 the less a drone. What the net alone would not have shown must have odds above one to be shown.
 

@@ -53,8 +53,9 @@ AS_ANSWERED = BoxWidth(factor=1.0)
 
 
 class SecondLook(NamedTuple):
-    """Of n candidates. score (n,) of both stages; resize (n,): what each box is multiplied by to be as wide as one
-    around a drone of its span; ones where that is not told."""
+    """Answer for n candidates. score (n,) of both stages; resize (n,): what each box is multiplied by to be as wide
+    as one around a drone of its span; ones where the span is unknown.
+    """
 
     score: Array
     resize: Array

@@ -35,7 +35,7 @@ def judge(
     doubts_itself: bool = False,
     unmeasured_m: float | None = None,
 ) -> Readiness:
-    """Failures count, warnings do not; that of a start which nobody measured is told.
+    """Failures count, warnings do not; the one about an unmeasured start is reported.
 
     clones: boots of other agents that speak as this drone. doubts_itself: what it sees does not fit its own pose.
     unmeasured_m: the sigma [m] that the start is taken to have; None where it was written.

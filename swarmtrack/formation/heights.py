@@ -3,9 +3,9 @@
     off = d + b + level τ + lever r + white
 
 d [m] is the drift since the watch began, 0 then, and its rate a random walk; b [m] is the constant between two heights
-that were measured by different people, of which nothing is known; τ [rad] is the error of the own tilt, which lasts for
-seconds; r the error of the distance, in its own sigmas. Nobody can tell b from a drift that is over before the watch
-begins, nor whose height it is that drifts: what is found is said of both.
+that were measured by different people, of which nothing is known; τ [rad] is the error of the own tilt, which lasts
+for seconds; r the error of the distance, in its own sigmas. b cannot be separated from a drift that ended before the
+watch began, nor can the drifting drone be identified: a finding is reported for both.
 """
 
 from __future__ import annotations

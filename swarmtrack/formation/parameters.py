@@ -47,7 +47,7 @@ class FlightLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FormationParameters:
-    """Of one drone in its formation.
+    """Parameters of one drone in its formation.
 
     slots: by drone, [north, east, down] m from the leader, in team axes; the leader's own is (0, 0, 0). references: the
     drones by which this one finds its slot. height [m]: of the leader's slot above the team frame's origin; each drone

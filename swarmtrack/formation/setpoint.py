@@ -91,11 +91,11 @@ class OwnFlight:
 
 
 class Setpoint(NamedTuple):
-    """What to fly from t [s] on. velocity [m/s] NED in team axes; yaw_rate [rad/s], clockwise seen from above.
+    """Set point from t [s] on. velocity [m/s] NED in team axes; yaw_rate [rad/s], clockwise seen from above.
 
-    text: why, for people. error [m]: how far off its slot the drone is, level; None where nobody can tell. clear_of:
-    the tracks that the velocity was bent away from. nearest [m]: the least that anybody's distance may be; None
-    where nobody is near, or nobody can tell.
+    text: why, for people. error [m]: how far off its slot the drone is, level; None if unknown. clear_of: the tracks
+    that the velocity was bent away from. nearest [m]: lower bound of the smallest range to a track; None without one
+    nearby, or if unknown.
     """
 
     t: float

@@ -61,8 +61,9 @@ class DroneCameras:
 
     @cached_property
     def outlines(self) -> list[list[list[float]]]:
-        """Of each camera's field of view, for the page: right of the nose and up, degrees; behind it goes on beyond
-        ±180."""
+        """Outline of each camera's field of view, for the page: right of the nose and up, degrees; behind it goes
+        on beyond ±180.
+        """
         return [
             np.degrees(outline_around(lens, mounting)).round(1).tolist()
             for lens, mounting in zip(self.lenses, self.mountings, strict=True)

@@ -238,8 +238,9 @@ class DroneRecording:
     def events(
         self, shift: float, *, lives: set[tuple[int, str]], says_itself: bool
     ) -> Iterator[TimelineEvent]:
-        """lives: drone and boot of those that recorded themselves; says_itself: whom it sees, since nobody recorded
-        hearing it."""
+        """lives: drone and boot of those that recorded themselves; says_itself: its sightings, because no recording
+        has them as received.
+        """
         if math.isnan(self._first):
             return
         yield self._token(self.drone_id, self.boot, self._first + shift)

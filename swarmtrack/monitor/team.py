@@ -88,10 +88,10 @@ class Drone:
 
 
 class MonitoredTeam:
-    """Told of samples; answers with the state. Only the event loop may call.
+    """Takes samples; returns the state. Only the event loop may call.
 
-    Nobody vouches for what a drone says. What the wire's checks let pass and still cannot be shown is left out, counted
-    and said once (`leaves_out`): a word of one drone ends the page for nobody.
+    Messages are not trusted. Content that passes the wire's checks and still cannot be shown is left out, counted and
+    logged once (`leaves_out`): a message of one drone never ends the page.
     """
 
     def __init__(self, name: str, clock: Clock) -> None:
@@ -438,8 +438,9 @@ def _cameras_of(drone: Drone) -> int:
 def around_state(
     rig: DroneCameras | None, tracks: TracksMessage | None, *, few: bool
 ) -> dict[str, Any] | None:
-    """All directions around a drone with several cameras: its fields of view, and its tracks; None where nobody knows,
-    or, of many drones, nobody looks."""
+    """All directions around a drone with several cameras: its fields of view, and its tracks; None while unknown,
+    or, in a large team, without a viewer.
+    """
     if rig is None or (tracks is None and not few):
         return None
     return {"outlines": rig.outlines, "tracks": [] if tracks is None else rig.around(tracks)}

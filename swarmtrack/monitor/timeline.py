@@ -87,7 +87,7 @@ class Tracked:
         return min(((abs(self.times[i] - t_utc_s), self.blobs[i]) for i in near), default=None)
 
     def newest(self, t: float) -> tuple[float, Blob] | None:
-        """That had been heard at t on the timeline's clock: when, and what was tracked."""
+        """Newest tracks received by t on the timeline's clock, with their time."""
         k = bisect_right(self.told, t - self.shift)
         return (self.told[k - 1] + self.shift, self.blobs[k - 1]) if k else None
 

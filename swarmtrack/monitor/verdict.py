@@ -2,9 +2,9 @@
 
 Theory of operation. Each drone says where it stands, and on which rays it sees whom. A ray that carries the name of a
 drone must pass by where that drone says it stands; if it passes by another one instead, its observer confuses the two.
-Who does not say where it stands is seen in one place by all, or somebody errs. Drones speak once a second, each at its
-own instants. So of each observer the newest report is judged that all others have spoken after, and their places at
-that instant lie between two that they told.
+A drone that does not report its position is seen in one place by all, or an observer errs. Drones speak once a second,
+each at its own instants. So of each observer the newest report is judged that all others have spoken after, and their
+places at that instant lie between two that they told.
 """
 
 from __future__ import annotations

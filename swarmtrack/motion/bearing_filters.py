@@ -52,9 +52,10 @@ def is_lapse(then: tuple[float, Orientation], now: tuple[float, Orientation]) ->
 
 
 def likelihoods(cost: Array, log_det: Array, components: Array) -> tuple[Array, Array]:
-    """Of b blocks of innovations, their squares over their variances cost (b, q, g) for each agility and assumption,
-    the sum of these variances' logarithms log_det (b, q), and their number components (b,): the log-likelihood (b, q,
-    g) with the scale of all variances that suits best, and that scale (b, q, g)."""
+    """Log-likelihood of b blocks of innovations: their squares over their variances cost (b, q, g) for each agility
+    and assumption, the sum of these variances' logarithms log_det (b, q), and their number components (b,): the
+    log-likelihood (b, q, g) with the scale of all variances that suits best, and that scale (b, q, g).
+    """
     n = components[:, None, None]
     scale = np.maximum(cost / n, BEARING_LEAST_SCALE)
     return -0.5 * (n * np.log(scale) + log_det[:, :, None]), scale
@@ -76,7 +77,7 @@ class BearingFilters:
         self.restart()
 
     def restart(self) -> None:
-        """Nobody is followed any longer."""
+        """No target is followed any longer."""
         self.hits = np.zeros(BEARING_MAX_TARGETS, dtype=int)
         self.slots = np.flatnonzero(self.hits)
         self._seen = np.zeros(BEARING_MAX_TARGETS)

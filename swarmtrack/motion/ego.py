@@ -85,10 +85,10 @@ class EgoHistory:
     after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
     origin, goes on from where the drone was last.
 
-    So does one whose place leaps, as a receiver's does that loses its satellites: nobody flew that way, and a velocity
-    that spans it is none. Whether the place was right before the leap or is so since, the leap does not tell. `leapt`
-    is what was taken off; whoever finds that the drone is not where it goes on from calls `believe_leaps`. By GPS a
-    drone that stands on the ground is where its autopilot says: there places leap to where they are better known.
+    So does one whose place leaps, as a receiver's does that loses its satellites: the drone did not fly that way, and
+    a velocity across it is wrong. Whether the place was right before the leap or is so since, the leap does not tell.
+    `leapt` is what was taken off; a caller that finds the drone elsewhere calls `believe_leaps`. By GPS a drone that
+    stands on the ground is where its autopilot says: there places leap to where they are better known.
 
     heading: how well the autopilot knows its heading.
     """
@@ -235,8 +235,9 @@ class EgoHistory:
         )
 
     def steady(self, t: float) -> TeamPose | None:
-        """The pose at t, with a place that does not jitter from one pose to the next: that of a straight line through
-        those around it. Whoever compares places of one second with each other takes the jitter for a motion."""
+        """The pose at t, with a place that does not jitter from one pose to the next: that of a straight line
+        through those around it. A comparison of positions within one second mistakes the jitter for motion.
+        """
         pose, line = self.at(t), self._line_around(t)
         if pose is None or line is None:
             return pose

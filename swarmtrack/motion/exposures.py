@@ -30,9 +30,10 @@ class WaitingScans:
         self._queues[detections.camera].waiting.append(detections)
 
     def pop(self, now: float | None = None) -> tuple[Detections, float] | None:
-        """The first scan and its exposure [s, IMU clock], once the gyro has reached it or will not reach it in time.
+        """The first scan and its exposure [s, IMU clock], once the gyro has reached it or will not reach it in
+        time.
 
-        now: the time where somebody cannot wait any longer; None: whatever the gyro says is the time.
+        now: the time where the caller cannot wait any longer; None: whatever the gyro says is the time.
         """
         queues = [queue for queue in self._queues if queue.waiting]
         if not queues:

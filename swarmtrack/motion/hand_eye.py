@@ -7,8 +7,8 @@ solved by the singular values of Σ φ ψᵀ (Kabsch (1976), Markley (1988)), an
 From the least of it Gauss-Newton goes on over C, offset and bias together, with weights that let go of frames whose
 image was not understood (Cauchy's; Holland & Welsch (1977)).
 
-How sure it is comes from drawing blocks of a second anew, again and again, and solving the linearised problem for each
-draw (Efron & Tibshirani (1993)): errors of neighbouring frames go together, and no model of the noise is needed.
+How sure it is comes from drawing blocks of a second, again and again, and solving the linearised problem for each draw
+(Efron & Tibshirani (1993)): errors of neighbouring frames go together, and no model of the noise is needed.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """How well the own heading is known, and whether it has just jumped.
 
 Theory of operation. An autopilot's heading is wrong by a bias that lasts, not by noise: on the ground by the compass
-next to steel and motors, 1.5 to 2.6° on eleven boots of an ArduPilot. In flight the estimator compares the compass with
-GPS and its own motion, and aligns the heading anew ("in-flight yaw alignment"), after which about 1° was left. So its
-standard deviation is a state of knowledge, and `HeadingKnowledge` keeps it: one value on the ground and one in flight,
-once it is aligned.
+next to steel and motors, 1.5 to 2.6° on eleven boots of an ArduPilot. In flight the estimator compares the compass
+with GPS and its own motion, and aligns the heading again ("in-flight yaw alignment"), after which about 1° was left.
+So its standard deviation is a state of knowledge, and `HeadingKnowledge` keeps it: one value on the ground and one in
+flight, once it is aligned.
 
 The alignment is a step: from one attitude to the next the heading changes by some degrees while the gyro says that the
 drone did not turn. `HeadingSteps` looks for these. Where the heading was right already there is none, so
@@ -209,8 +209,9 @@ class HeadingBulletin:
         self._was_aligned: bool | None = None
 
     def news(self, t: float, steps: list[float], *, is_aligned: bool) -> HeadingNews | None:
-        """Of the pose of t [s]. steps: those that were just found [rad]; is_aligned: whether the heading is as good as
-        in flight; a drone that is when it is first seen has said so with its first announcement."""
+        """News in the pose of t [s]. steps: those that were just found [rad]; is_aligned: whether the heading is as
+        good as in flight; a drone that is when it is first seen has said so with its first announcement.
+        """
         for step in steps:
             self._waiting = HeadingNews(t, step)
         if is_aligned and self._was_aligned is False and self._waiting is None:

@@ -1,4 +1,4 @@
-"""What an agent shows to somebody who watches it: a line a second, and a summary at the end."""
+"""Console output of an agent: a line per second, and a summary at the end."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Console:
         self._print(f"{when}  {what}   ({', '.join(footnotes)})")
 
     def summary(self, facts: Iterable[str]) -> None:
-        """Who was seen, for how long; then the facts, one a line."""
+        """Teammates seen, and for how long; then the facts, one per line."""
         self._print("")
         self._print(f"Summary of {self._elapsed:.1f} s, {self._scans} scans:")
         for identity, seen in sorted(self._seen.items(), key=lambda item: str(item[0])):

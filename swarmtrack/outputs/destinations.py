@@ -1,4 +1,7 @@
-"""What an agent writes for people, beside the network: a JSON line for each scan; `annotated_video` adds a picture."""
+"""Output files of an agent for people: a JSON line for each scan; `annotated_video` adds a picture.
+
+Pixels here are those of the image as the camera gave it: the tracker's undistorted ones are distorted again.
+"""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ Written = tuple[Topic, bytes]
 
 
 class FoxgloveScene:
-    """Of one drone. lenses, mountings: of its cameras; body FRD from camera x right, y down, z forward [m]."""
+    """Scene of one drone. lenses, mountings: of its cameras; body FRD from camera x right, y down, z forward [m]."""
 
     def __init__(self, drone_id: int, lenses: Sequence[PinholeCamera], mountings: Sequence[Placed]) -> None:
         self._body, self._ned = f"drone-{drone_id}", f"drone-{drone_id}/ned"

@@ -1,4 +1,4 @@
-"""What the cameras see now, for people: `video/<id>`, said only while somebody listens.
+"""What the cameras see now, for people: `video/<id>`, sent only while there is a subscriber.
 
 The newest frame only, at most ten times a second, made smaller and encoded in a thread of its own. While that is busy,
 frames pass by. Unwatched it costs one question per frame. Of several cameras each is listened to by itself. Those ten

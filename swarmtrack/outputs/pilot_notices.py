@@ -56,7 +56,7 @@ SIGHT_HOLD, SIGHT_REST = 2.0, 10.0
 
 
 class PilotNotices:
-    """Told of scans and events, it speaks to the autopilot.
+    """Sends notices on scans and events to the autopilot.
 
     autopilot: None where there is none that can be spoken to. tell: what of, as in the config. origin: of the team
     frame on the Earth. clock: the flight's, of reports; wall: the machine's, of what is said how often.
@@ -138,7 +138,7 @@ class PilotNotices:
             self.add(Severity.INFO, "own start and heading fit again")
 
     def on_disagreement(self, found: Disagreement) -> None:
-        """A teammate sees somebody elsewhere than we do."""
+        """A teammate sees a drone elsewhere than we do."""
         if found.overruled:
             self.add(Severity.WARNING, f"outvoted on drone {found.drone_id}: unknown")
         else:
@@ -152,7 +152,7 @@ class PilotNotices:
     # ── what is said ─────────────────────────────────────────────────────────────────────────────────────────────
 
     async def run(self) -> None:
-        """Until cancelled; returns where there is nobody to tell."""
+        """Until cancelled; returns without a recipient."""
         while self._autopilot is not None:
             await asyncio.sleep(periods.BOX)
             self.tick(self._wall.now())

@@ -22,7 +22,8 @@ class ReportedPosition(NamedTuple):
 
 
 class ReportedPositions:
-    """Told what teammates report. One camera measures no range: a place is its drone's own word, and our ray the check.
+    """Takes teammates' reports. One camera measures no range: a position is the drone's own report, and our ray the
+    check.
 
     origin: of the team frame on the Earth.
     """
@@ -37,7 +38,7 @@ class ReportedPositions:
             self._reports[report.observer] = report
 
     def in_view(self, own: SightingReport | None, now: float) -> list[ReportedPosition]:
-        """Of all that we see where they said they are; own: what this drone sees and where it stands."""
+        """Reported positions of the teammates seen there; own: what this drone sees and where it stands."""
         self._reports = {i: report for i, report in self._reports.items() if now - report.t < FRESH}
         if own is None or now - own.t > FRESH:
             return []

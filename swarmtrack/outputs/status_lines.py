@@ -47,7 +47,7 @@ class Debounced(Generic[_V]):
 
 
 class StatusLines:
-    """Lines that wait to be said. untold: how many were dropped, because too many came or nobody listened."""
+    """Lines that wait to be said. untold: how many were dropped, because too many came or there was no listener."""
 
     def __init__(self) -> None:
         self.untold = 0

@@ -32,7 +32,7 @@ class PlaceOnEarth(NamedTuple):
 
 
 class TeammatesOnEarth:
-    """Told what teammates report. origin: of the team frame on the Earth."""
+    """Takes teammates' reports. origin: of the team frame on the Earth."""
 
     def __init__(self, origin: Geodetic) -> None:
         self._origin = origin
@@ -49,7 +49,7 @@ class TeammatesOnEarth:
         motion: MotionReport | None,
         now: float,
     ) -> list[PlaceOnEarth]:
-        """Of the last scan's named tracks, and of what else own says that this drone sees; each teammate once.
+        """Positions of the last scan's named tracks and of the other sightings in own; each teammate once.
 
         own: from where, at the last scan; motion: how this drone moves; None where it does not know.
         """

@@ -1,4 +1,5 @@
-"""How a teammate's frame stands to ours: three metres and a turn, in closed form, from sightings.
+"""Transform from a teammate's frame to ours: a translation and a rotation about the vertical, in closed form, from
+sightings.
 
 Theory of operation. Drone i at p (in its frame I) sees drone j on a ray d; j says that it is at s (in its own frame J).
 Both frames are level, so that I_from_J is a turn ψ about the vertical and a shift t. With x = (cos ψ, sin ψ) and
@@ -13,9 +14,9 @@ nothing is believed twice; an extended filter of (t, ψ) makes up information fr
 
 Noise in d is multiplied by all of q = G x + z + t − p. Its expectation is taken off, or the squares would shrink q.
 
-While nobody moves, turn and shift trade off, and the solution says nothing of it. So it is stated only where the
-teammate moved across the rays, in its own frame and against us, by far more than the noise. And where the rays fit less
-well than their noise says, as frames drift, the covariance grows by as much.
+While no drone moves, turn and shift trade off, and the solution says nothing of it. So it is stated only where the
+teammate moved across the rays, in its own frame and against us, by far more than the noise. And where the rays fit
+less well than their noise says, as frames drift, the covariance grows by as much.
 """
 
 from __future__ import annotations

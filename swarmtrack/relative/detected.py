@@ -21,7 +21,7 @@ def named_boxes(tracks: Sequence[IdentifiedTrack], scan: Scan, R: Array, camera:
     """The teammates among the tracks after a scan of a camera, each with its detection. R (m, 2, 2) px²: of the scan's
     detections.
 
-    A detection that is the nearest of two confirmed tracks may be a box around both, and is nobody's.
+    A detection that is the nearest of two confirmed tracks may be a box around both, and is left out.
     """
     named = [entry for entry in tracks if isinstance(entry.identity, int)]
     shown = [

@@ -76,7 +76,7 @@ class SaidHeights:
         self._placed.pop(drone_id, None)
 
     def sights(self, look: TeamLook, states: Mapping[int, RelativeState]) -> tuple[HeightSight, ...]:
-        """Of a scan, whoever was detected in it and has said how high it is. states: by track, at that time."""
+        """Height sights of a scan: teammates detected in it with a reported height. states: by track, at that time."""
         sights = []
         for i, (drone, track) in enumerate(look.keys):
             state = states.get(track)

@@ -52,15 +52,16 @@ class VelocityPrior(NamedTuple):
 
 
 class SizeErrors(NamedTuple):
-    """Of ln(width): wandering, one sigma, within wander_s; what lasts is told when a row begins."""
+    """Errors of ln(width): wandering, one sigma, within wander_s; what lasts is told when a row begins."""
 
     wandering: float
     wander_s: float
 
 
 class OwnWay(NamedTuple):
-    """Of the own camera during a step: u (3,) m; walked, jitter m² per axis: how much of its noise stays, and how much
-    is of the two places at its ends only; turned rad² per axis: how far the error of its attitude went."""
+    """Path of the own camera during a step: u (3,) m; walked, jitter m² per axis: how much of its noise stays, and
+    how much is of the two places at its ends only; turned rad² per axis: how far the error of its attitude went.
+    """
 
     u: Array
     walked: float
@@ -76,8 +77,9 @@ class Drift(NamedTuple):
 
 
 class Decay(NamedTuple):
-    """Of an integrated Ornstein-Uhlenbeck process over one step: way from velocity φ, velocity left e, and Q per axis
-    of way and velocity, (n,) each: pp m², pv m²/s, vv m²/s²."""
+    """Transition of an integrated Ornstein-Uhlenbeck process over one step: way from velocity φ, velocity left e,
+    and Q per axis of way and velocity, (n,) each: pp m², pv m²/s, vv m²/s².
+    """
 
     phi: float
     left: float
@@ -130,8 +132,9 @@ def unit_decay(dt: float, tau: float) -> UnitDecay:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beliefs:
-    """Of n teammates at one instant: d (n, 3), axes E (n, 3, 2) across it, log_range (n,), s (n, 3) 1/s, size (n, 2),
-    place (n, 3) m, turn (n,) rad, and the covariance P (n, 12, 12) of the error state."""
+    """States of n teammates at one instant: d (n, 3), axes E (n, 3, 2) across it, log_range (n,), s (n, 3) 1/s,
+    size (n, 2), place (n, 3) m, turn (n,) rad, and the covariance P (n, 12, 12) of the error state.
+    """
 
     d: Array
     E: Array

@@ -2,25 +2,25 @@
 
 A detector takes a part of a house at 40 m for a drone at 5 m, and the size of its box says so again in every frame.
 What tells the two apart is the own way. A point that stands still, seen first along m from c₀, is seen from c₀ + u
-along m − q u, with q the inverse of its range (Civera, Davison & Montiel, 2008). With E across m, the ray d and
-z = Eᵀd / (m·d), that is linear in where it stands across m, a, and in q. But a near drone that flies along with us is
-seen like that, too. So the fit leaves room for what flies at any steady velocity, b, and only the bends of the own way
-tell of ranges: nobody who is not of the team flies our bends.
+along m − q u, with q the inverse of its range (Civera, Davison & Montiel, 2008). With E across m, the ray d and z =
+Eᵀd / (m·d), that is linear in where it stands across m, a, and in q. But a near drone that flies along with us is seen
+like that, too. So the fit leaves room for what flies at any steady velocity, b, and only the bends of the own way tell
+of ranges: no stranger flies our bends.
 
     z = a + b t − q (Eᵀu − z m·u)
 
 Theory of operation. Each track without a name has such a fit, which forgets within `PARALLAX_FORGET_S`. It is far off
 once
 
-* the fit says so by two sigmas, from bends that are long beside what a hovering drone sways: else a near drone that
+* the fit says so by two sigmas, from bends that are long compared with a hovering drone's sway: else a near drone that
   happens to sway along with us would be far off as well;
 * and it does not grow: the slope of ln(width) shows that it takes 16 s at least to come.
 
 It is so no longer, and has to be shown again,
 
 * when it is not where the fit expects it: it does not stand still, or the track is another thing by now;
-* when it has grown: what was beyond `PARALLAX_FAR_M` is beyond `PARALLAX_REACH_M` until it appears larger by their
-  quotient. That needs no range, and nobody comes without growing;
+* when it has grown: what was beyond `PARALLAX_FAR_M` is beyond `PARALLAX_REACH_M` until it appears larger by their quotient. That needs
+  no range, and no drone approaches without growing;
 * when the own place has leapt: a leap that was not flown is a bend in which nothing moved, so that all were far off.
 
 A track that begins where one that has ended is expected, and as large, goes on with its fit: who turns to and fro loses

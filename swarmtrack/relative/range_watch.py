@@ -9,7 +9,7 @@ from swarmtrack.relative.priors import RANGES_IN_A_ROW, RANGES_IN_A_ROW_S
 
 
 class RangeNews(NamedTuple):
-    """That the radio's distances to a teammate do not fit: distance m, the last; None: they do again."""
+    """The radio's ranges to a teammate do not fit: distance m, the last; None: they do again."""
 
     t: float
     drone_id: int

@@ -129,7 +129,7 @@ class RelativeStates:
 
     @property
     def counters(self) -> dict[str, int]:
-        """What contradicted what is believed, rays that nobody expected, and what came too late to be used."""
+        """Rejected measurements, unexpected rays, and late reports."""
         return {
             "relative_refused": self.refused,
             "relative_surprised": self.surprised,
@@ -374,7 +374,9 @@ class RelativeStates:
         self._fold(said.drone_id, said.t, "velocity", measured)
 
     def hear_range(self, said: RangeReport) -> bool:
-        """A distance to a teammate from this drone. False where it is of nobody who is seen, or was not believed."""
+        """A distance to a teammate from this drone. False where that teammate is not in view, or the range was
+        rejected.
+        """
         sigma = math.hypot(said.sigma, self._p.speed_sigma * said.t_sigma)
 
         def measured(at: Carried, then: _Moment) -> Measured:

@@ -52,9 +52,10 @@ class ScanDiff:
 
 @dataclass(frozen=True, slots=True)
 class ReplayDiff:
-    """Of one drone. one, other: confirmed tracks in all scans; other_names: matched tracks called otherwise, of which
-    in unknown_in_one either side does not know. parted_s: the first scan with a track that the other does not have, or
-    has elsewhere, or calls otherwise; None: never."""
+    """Difference for one drone. one, other: confirmed tracks in all scans; other_names: matched tracks called
+    otherwise, of which in unknown_in_one either side does not know. parted_s: the first scan with a track that
+    the other does not have, or has elsewhere, or calls otherwise; None: never.
+    """
 
     scans: int
     only_one: int

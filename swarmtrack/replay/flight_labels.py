@@ -2,8 +2,8 @@
 
 Theory of operation. Every drone of a team knows its own pose in the frame that they share, and recordings hold it. So
 the place of each teammate at the exposure of a picture is projected into that picture, as the box around a body of
-known size: a label that nobody drew. Times of several recordings are brought together as `swarmtrack log merge` does. A
-teammate without a recording of its own is where it said it was, once a second, in what it told its team.
+known size: a label without manual work. Times of several recordings are brought together as `swarmtrack log merge`
+does. A teammate without a recording of its own is where it said it was, once a second, in what it told its team.
 
 A picture with a drone in it that has no label teaches the wrong thing. So a picture is left out whenever a teammate
 that may be in it is not known well enough: its pose is missing, or its pixel is less sure than a share of its box.

@@ -111,10 +111,10 @@ class Replayed:
 class Replayer:
     """One recording, once through an `Onboard` of its own.
 
-    detector: sees the recorded frames anew instead of what was detected in flight; frames that were not recorded are
-    then not seen. `motion.gyro_delay_s` of the settings moves the gyro's samples to where it says they belong; without
-    it they stay where they were in flight. every_answer: also carry the tracks on to every instant at which somebody
-    asked for them, a quarter of the time; else to every tenth, which is as sure to show a difference. A watcher is
+    detector: detects in the recorded frames again, instead of the detections in flight; frames that were not recorded
+    are then not seen. `motion.gyro_delay_s` of the settings moves the gyro's samples to where it says they belong;
+    without it they stay where they were in flight. every_answer: also carry the tracks on to every instant at which
+    they were queried, a quarter of the time; else to every tenth, which is as sure to show a difference. A watcher is
     given every one.
     """
 

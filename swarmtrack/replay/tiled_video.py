@@ -77,8 +77,9 @@ def _fps(times: list[float]) -> float:
 
 
 class Tiles:
-    """Pictures beside each other, each the newest of its camera; up to three in a row, else in two rows. sizes: width
-    and height of each."""
+    """Pictures side by side, each the newest of its camera; up to three in a row, else in two rows. sizes: width
+    and height of each.
+    """
 
     def __init__(self, sizes: Sequence[tuple[int, int]]) -> None:
         count = len(sizes)

@@ -51,7 +51,7 @@ NOTHING_PUBLISHED = Published(0, None)
 
 @dataclass(slots=True)
 class Judged:
-    """report: judged anew; recorded: the verdict of the flight, as JSON has it; None where it was cut off.
+    """report: judged again; recorded: the verdict of the flight, as JSON has it; None where it was cut off.
 
     numbers: of the track messages that were heard, by drone and boot.
     """

@@ -432,7 +432,7 @@ def make_health(parts: Parts, formation: FormationPilot | None = None) -> Health
 
 
 def make_formation_pilot(parts: Parts, notices: PilotNotices) -> FormationPilot | None:
-    """What flies the drone of these parts; None where nobody may."""
+    """What flies the drone of these parts; None where it must not be flown."""
     place = parts.config.formation.parameters(parts.config.drone.id)
     if parts.engagement is None or place is None or not isinstance(parts.autopilot, MavlinkAutopilot):
         return None

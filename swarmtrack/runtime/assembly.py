@@ -104,8 +104,8 @@ class Parts:
 def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = None) -> Parts:
     """Make the parts; nothing is opened or connected yet.
 
-    wall: the machine's clock. imported: the clock of a flight that is over, which whoever imports it sets.
-    Raises ConfigError at the entry that leads to something that can never work.
+    wall: the machine's clock. imported: the clock of a flight that is over, which the importer sets. Raises
+    ConfigError at the entry that leads to something that can never work.
     """
     boot = new_boot()
     with config.blamed("camera", "source"):

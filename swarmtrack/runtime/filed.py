@@ -39,7 +39,9 @@ def filed_announcements(config: DroneConfig, t: float) -> list[Announcement]:
 
 
 def filed_announcement(drone_id: int, t: float, *, position: Array, yaw: float, sigma: float) -> Announcement:
-    """Of a drone that starts at position (3,) m, team frame, ± sigma [m] per axis, with its nose at yaw [rad]."""
+    """Announcement of a drone that starts at position (3,) m, team frame, ± sigma [m] per axis, with its nose at
+    yaw [rad].
+    """
     return Announcement(
         drone_id=drone_id,
         boot=NO_BOOT,

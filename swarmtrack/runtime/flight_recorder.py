@@ -33,7 +33,7 @@ HEALTH_RECORDS = Topic.of_json("/health", schemas.HEALTH_SCHEMA)
 
 
 class FlightRecorder:
-    """Implements `DoorListener`, and hears beside the door what viewers want to see.
+    """Implements `DoorListener`, and also records what viewers want to see.
 
     clock: the flight's; wall: the machine's, by which the file is flushed. waits: nothing is lost, the flight waits for
     the disk: for what is as fast as it goes.

@@ -1,9 +1,9 @@
 """Flies a follower: ten decisions per second to its guard, while its pilot wants that.
 
 It never arms, takes off, lands, changes a mode or a parameter. It decides, and only while the pilot has it engaged
-(`autopilot/engagement.py`). What becomes of a decision is the guard's business (`swarmtrack/guard.py`): it alone
-sends set points, and ends the engagement where decisions stay away or go beyond the limits. Where the guard is gone
-nobody flies; it is started again on the ground.
+(`autopilot/engagement.py`). What becomes of a decision is the guard's business (`swarmtrack/guard.py`): it alone sends
+set points, and ends the engagement where decisions stay away or go beyond the limits. Without the guard the drone is
+not flown; it is started again on the ground.
 """
 
 from __future__ import annotations

@@ -37,7 +37,7 @@ class GuardNews(NamedTuple):
 
 
 class GuardLine(Protocol):
-    """A guard, to whoever decides. All but `stop` returns at once."""
+    """The guard as its decider sees it. All but `stop` returns at once."""
 
     @property
     def alive(self) -> bool: ...
@@ -53,7 +53,7 @@ class GuardLine(Protocol):
 
     @property
     def refused(self) -> int:
-        """Of these, in the stead of a decision that was refused."""
+        """Number of zeros sent in place of a rejected decision."""
         ...
 
     def start(self) -> None: ...
@@ -63,7 +63,7 @@ class GuardLine(Protocol):
 
     def decide(self, decision: Decision) -> None: ...
     def stand(self) -> None:
-        """Nobody is engaged, and the autopilot wants to hear zeros."""
+        """There is no engagement, and the autopilot expects zeros."""
         ...
 
     def end(self, number: int) -> None:
@@ -77,7 +77,7 @@ class GuardLine(Protocol):
 
 
 class GuardProcess:
-    """A guard in a process of its own. Nobody starts it again but `start`.
+    """A guard in a process of its own. Only `start` starts it again.
 
     limits: what it enforces; key: signs what it sends, None: nothing does.
     """
@@ -171,7 +171,7 @@ class GuardProcess:
         return GuardNews(tuple(releases), died)
 
     def stop(self) -> None:
-        """Waits for its end, a quarter of a second where somebody is flown: until then the link is the guard's, too."""
+        """Waits for its end, a quarter of a second during an engagement: until then the link is the guard's, too."""
         self._tell(guard.STOP)
         if self._process is not None:
             with contextlib.suppress(subprocess.TimeoutExpired):

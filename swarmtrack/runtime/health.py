@@ -61,7 +61,7 @@ class Connections:
         return [*before, *self.camera_statuses(), *after]
 
     def camera_statuses(self) -> list[LinkStatus]:
-        """Of several by their numbers, from 1, beside which the address stands in the text."""
+        """Statuses of the cameras; several are named by their numbers, from 1, with the address in the text."""
         statuses = [camera.status() for camera in self.cameras]
         if len(statuses) == 1:
             return statuses
@@ -72,14 +72,15 @@ class Connections:
 
 
 def camera_name(number: int) -> str:
-    """Of one of several, for people, who count from 1."""
+    """Name of one of several cameras for people, who count from 1."""
     return f"camera {number + 1}"
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """What the config asks for. imu_hz None: of no autopilot. frame_age_s: of each camera. unmeasured_m: the sigma that
-    a start is taken to have of which nobody wrote any; else None."""
+    """What the config asks for. imu_hz None: of no autopilot. frame_age_s: of each camera. unmeasured_m: the
+    assumed sigma of a start configured without one; else None.
+    """
 
     imu_hz: float | None
     tracks_hz: float
@@ -160,7 +161,7 @@ class Health:
         return [("stale_frames", self._stale_of[number]), ("time_offset_used_s", clock.used_s), *known]
 
     def on_detections(self, camera: int) -> None:
-        """Somebody has looked at a frame of a camera."""
+        """A frame of a camera went through the detector."""
         self._scans_of[camera].tick()
 
     def on_stale_frame(self, camera: int) -> None:
@@ -174,7 +175,7 @@ class Health:
         self.tracked_at = self._wall.now()
 
     def on_membership(self, event: Membership) -> None:
-        """Who speaks as this very drone."""
+        """Other processes with this drone's ID."""
         if event.drone_id != self._drone_id:
             return
         if isinstance(event, IdClash):

@@ -1,4 +1,4 @@
-"""The agent's health in a file, once a second, for whoever looks after its process: a container, a person.
+"""The agent's health in a file, once a second, for its supervisor: a container, a person.
 
 A file and no socket: it asks nothing of the agent, it needs no keys, and of an agent that hangs it goes out of date.
 Its time is the machine's monotonic clock, which GPS and NTP do not set, and which all containers of a machine share.
@@ -21,7 +21,7 @@ ENVIRONMENT = "SWARMTRACK_HEALTH"
 
 
 def health_path(configured: Path | None) -> Path | None:
-    """`output.health`, else what the environment says; None: nobody wants it."""
+    """`output.health`, else what the environment says; None: not wanted."""
     if configured is not None:
         return configured
     return Path(path) if (path := os.environ.get(ENVIRONMENT)) else None

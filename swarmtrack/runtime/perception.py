@@ -81,7 +81,7 @@ def make_onboard(
 
 
 def make_follower(config: DroneConfig) -> Follower | None:
-    """None where the drone does not fly in formation: it leads, or nobody has enabled it."""
+    """None where the drone does not fly in formation: it leads, or it is not enabled."""
     parameters = config.formation.parameters(config.drone.id)
     return Follower(parameters) if parameters is not None and config.flies_in_formation else None
 

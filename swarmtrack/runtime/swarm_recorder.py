@@ -54,7 +54,7 @@ class Heard(msgspec.Struct, array_like=True, frozen=True):
 
 
 class FlightEvent(msgspec.Struct, frozen=True):
-    """A process was started or ended by plan, by the clocks of whoever did [s]."""
+    """A process was started or ended by plan, by the clocks of the process that did [s]."""
 
     event: str
     drone_id: int

@@ -58,11 +58,11 @@ class Teamwork:
     """Carries events from the transport into Onboard, and Onboard's wishes and findings to the team.
 
     tell: the way into Onboard; what comes out there comes back by `ask_for_pose` and `on_disagreement`. start: in the
-    team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that frame.
-    silent: nothing is told to the team, and nothing asked. filed: what is known of teammates before they
-    say it, and agreed: how they move without saying it. coded: everybody who sways by a code when the pilot says so.
-    share_hz: how often the team is told how this drone moves; None: never.
-    on_report: told of each report to the team. simulated: teammates without agents, spoken for here.
+    team frame; None: wherever the autopilot says it is. start_sigma_m: how well this drone knows that frame. silent:
+    nothing is told to the team, and nothing asked. filed: what is known of teammates before they say it, and agreed:
+    how they move without saying it. coded: all drones that sway by a code when the pilot says so. share_hz: how often
+    the team is told how this drone moves; None: never. on_report: told of each report to the team. simulated:
+    teammates without agents, spoken for here.
     """
 
     def __init__(
@@ -118,7 +118,9 @@ class Teamwork:
         self._posed.set()
 
     def on_switch(self, t: float) -> None:
-        """The pilot has thrown the switch at t [s]: everybody sways by the code from the next full 10 s of UTC on."""
+        """The pilot has thrown the switch at t [s]: every drone sways by the code from the next full 10 s of UTC
+        on.
+        """
         utc = self._clock.utc() - self._clock.now()
         for begin in possible_begins(t + utc):
             for drone_id in self._coded:
@@ -130,9 +132,8 @@ class Teamwork:
         self._notices.add(Severity.INFO, f"codes from {when} on")
 
     def describe_camera(self) -> None:
-        """For whoever makes directions of the pixels of our tracks; before the network opens."""
-        lenses = [each.lens for each in self._perceived.cameras]
-        mountings = [each.body_from_camera for each in self._perceived.cameras]
+        """Publish our camera, for directions from the pixels of our tracks; before the network opens."""
+        lenses, mountings = self._perceived.lenses, self._perceived.mountings
         try:
             self._transport.describe(
                 codec.encode(camera_message(self._drone_id, self._boot, lenses, mountings))
@@ -170,7 +171,8 @@ class Teamwork:
 
     async def announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is, and those of simulated teammates; then again
-        when somebody asks, until cancelled. Nothing of a silent drone."""
+        on request, until cancelled. Nothing of a silent drone.
+        """
         if self._silent:
             return
         if self._start is None:
@@ -247,7 +249,7 @@ class Teamwork:
         )
 
     def ask_for_pose(self, drone_id: int) -> None:
-        """Who is in doubt is asked at once."""
+        """Ask a teammate for its pose at once."""
         if not self._silent:
             self._transport.request_announcement(drone_id)
 

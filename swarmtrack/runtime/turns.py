@@ -1,7 +1,7 @@
 """Several cameras and one detector: who may have the next look, and at which frame.
 
-Live cameras take turns (`FairTurns`): whoever has waited longest since its last look is next, and looks at what is its
-newest frame then (`NewestFrames`). A camera that sends nothing does not wait, so it holds up nobody. Recordings that
+Live cameras take turns (`FairTurns`): the one that has waited longest since its last look is next, with its newest
+frame at that time (`NewestFrames`). A camera that sends nothing does not wait, so it delays no other. Recordings that
 are processed as fast as they go are looked at in the order of their exposures instead (`in_order`), every frame of
 each.
 """
@@ -22,7 +22,7 @@ LONGEST_DECODE = 0.2
 
 
 class FairTurns:
-    """Of several who want one thing, the one next that has been without it for longest; of the event loop."""
+    """Fair turns on the event loop: of several waiting for one resource, the one without it for longest is next."""
 
     def __init__(self) -> None:
         self._busy = False

@@ -1,4 +1,4 @@
-"""The team's CA: one folder that stays on one desk. Whoever has `ca.key` can make a drone 3 of his own.
+"""The team's CA: one folder that stays on one desk. A person with `ca.key` can issue a drone 3 of his own.
 
 keys/ca.key ca.pem             the CA itself
 keys/roster.toml roster.sig    who is in the team

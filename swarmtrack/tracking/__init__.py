@@ -53,7 +53,7 @@ def create_trackers(name: str, *, cameras: Sequence[PinholeCamera], **parameters
 
 
 def parameters_of(name: str, **parameters: Any) -> CommonParameters:
-    """Of a tracker by name.
+    """Parameters of a tracker by name.
 
     Raises ValueError for an unknown name, an unknown parameter or a value out of range, naming what was expected.
     """

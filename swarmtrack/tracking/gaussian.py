@@ -19,7 +19,9 @@ IDENTITY.setflags(write=False)
 
 
 class Innovations(NamedTuple):
-    """Of n tracks × m measurements: distance (…, n, m), squared Mahalanobis; log_density (…, n, m) of N(y; 0, S)."""
+    """Innovations of n tracks × m measurements: distance (…, n, m), squared Mahalanobis; log_density (…, n, m) of
+    N(y; 0, S).
+    """
 
     distance: Array
     log_density: Array
@@ -67,7 +69,9 @@ def update(mean: Array, cov: Array, z: Array, R: Array) -> tuple[Array, Array]:
 
 
 def inverse(S: Array) -> Array:
-    """Of symmetric positive (k, 2, 2): in closed form, ten times faster than a general solver on such small ones."""
+    """Inverse of symmetric positive (k, 2, 2) in closed form, ten times faster than a general solver on such small
+    ones.
+    """
     a, b, c = S[:, 0, 0], S[:, 0, 1], S[:, 1, 1]
     determinant = a * c - b * b
     inverse = np.empty_like(S)

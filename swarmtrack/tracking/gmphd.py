@@ -96,8 +96,10 @@ class Mixture(NamedTuple):
 
 
 class Shares(NamedTuple):
-    """Who made which of m detections, of n labels. taken (n, m): the weight of each label on each detection; kept (n,):
-    the factor on the weight of what was not detected; free (m,): the share of each detection that no label takes."""
+    """Association of m detections with n labels. taken (n, m): the weight of each label on each detection; kept
+    (n,): the factor on the weight of what was not detected; free (m,): the share of each detection that no label
+    takes.
+    """
 
     taken: Array
     kept: Array
@@ -403,7 +405,9 @@ def moments(mixture: Mixture, of: Blocks) -> tuple[Array, Array]:
 
 
 class Blocks(NamedTuple):
-    """Of k sorted keys: row (k,), the number of the run of equal ones that each is in; starts (n,) of the runs."""
+    """Runs of k sorted keys: row (k,), the number of the run of equal ones that each is in; starts (n,) of the
+    runs.
+    """
 
     row: Indices
     starts: Indices
@@ -416,7 +420,7 @@ def blocks(key: NDArray[np.integer]) -> Blocks:
 
 
 def sums(values: Array, starts: Indices) -> Array:
-    """Of values (k, …) over each block (n, …)."""
+    """Sums of values (k, …) over each block (n, …)."""
     if len(starts) == len(values):
         return values
     return np.asarray(np.add.reduceat(values, starts, axis=0))

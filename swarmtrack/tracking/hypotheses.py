@@ -1,4 +1,5 @@
-"""The most likely ways to explain a whole scan: the K best matchings of tracks and detections, under every earlier one.
+"""The most likely ways to explain a whole scan: the K best matchings of tracks and detections, under every earlier
+one.
 
 Theory of operation. A matching gives each track a detection or none, and no detection to two. Its value is the sum of
 the gains of its pairs (log-likelihood over "not detected"). Put a price p ≥ 0 on every detection: whatever the
@@ -6,13 +7,13 @@ prices, no matching is worth more than
 
     Σ_tracks max(0, max_j gain[i, j] − p_j) + Σ_j p_j                              (weak duality)
 
-and a track that does not choose its best falls short of this bound by its *slack*, as does a detection that nobody
-took by its price. At the prices of the best matching the bound is reached (strong duality): then a good matching is
+and a track that does not choose its best falls short of this bound by its *slack*, as does a detection that was not
+taken by its price. At the prices of the best matching the bound is reached (strong duality): then a good matching is
 one with little slack in sum. So tracks are gone through one after the other, all earlier hypotheses and all partial
 matchings at once as arrays, and whatever has more slack than `least` allows is left out. Every matching within `least`
 of the best is found and none twice; only where there are more than `breadth` partial ones at once are the most
-promising kept, and `complete` says so. Murty's K best (1968) in breadth instead of depth: his asks for an assignment to
-be solved for each track of each hypothesis, this one for a few in all.
+promising kept, and `complete` says so. Murty's K best (1968) in breadth instead of depth: his asks for an assignment
+to be solved for each track of each hypothesis, this one for a few in all.
 """
 
 from __future__ import annotations

@@ -9,10 +9,10 @@ probability p_D, "track i made detection j" weighs
 
     r p_D N(y; 0, S) / κ_j / (1 − r p_D)
 
-against "track i made none, and j is clutter or new". A scan then leaves existence at Σ_j β_j + β_0 r (1 − p_D) /
-(1 − r p_D), and each track at the moments of its explanations: the combined innovation, and a covariance that knows
-how far the explanations lie apart (Fortmann, Bar-Shalom & Scheffe, IEEE J. Oceanic Eng. 8(3), 1983). What nobody
-explains, 1 − Σ_i β_ij, begins a tentative track.
+against "track i made none, and j is clutter or new". A scan then leaves existence at Σ_j β_j + β_0 r (1 − p_D) / (1 −
+r p_D), and each track at the moments of its explanations: the combined innovation, and a covariance that knows how far
+the explanations lie apart (Fortmann, Bar-Shalom & Scheffe, IEEE J. Oceanic Eng. 8(3), 1983). The unexplained part, 1 −
+Σ_i β_ij, begins a tentative track.
 """
 
 from __future__ import annotations

@@ -79,7 +79,7 @@ def is_placed(cov: Array, camera: PinholeCamera) -> NDArray[np.bool_]:
 
 
 class Reach:
-    """Of targets with means (n, 4) and covariances (n, 4, 4): who is within reach of a camera, and placed."""
+    """Targets with means (n, 4) and covariances (n, 4, 4) within a camera's reach, and placed."""
 
     def __init__(self, camera: PinholeCamera) -> None:
         self._camera = camera

@@ -1,10 +1,11 @@
-"""Targets that mostly keep their velocity and sometimes manoeuvre: an interacting mix of M = 2 motion models or more.
+"""Targets that mostly keep their velocity and sometimes manoeuvre: an interacting mix of M = 2 motion models or
+more.
 
 Calm: constant velocity, next to no noise. Agile: Singer's model, an acceleration that is correlated in time with
-variance σ² = acceleration_psd / (2 τ) and lasts about τ seconds. Whoever sees a target decides between them by how
-well each predicted what was measured: the interacting multiple model filter, Blom & Bar-Shalom (1988); Bar-Shalom, Li
-& Kirubarajan (2001), section 11.6.6. Where nobody knows how hard targets manoeuvre in this image, there is an agile
-model for each of some levels.
+variance σ² = acceleration_psd / (2 τ) and lasts about τ seconds. An observer decides between them by how well each
+predicted what was measured: the interacting multiple model filter, Blom & Bar-Shalom (1988); Bar-Shalom, Li &
+Kirubarajan (2001), section 11.6.6. Where the strength of manoeuvres in this image is unknown, there is an agile model
+for each of some levels.
 
 State [u, vu, v, vv, au, av]: that of motion_model.py and the target's own acceleration, px/s². In the calm model the
 acceleration moves nothing: it is what the target would start to manoeuvre with, N(0, σ²).
@@ -117,9 +118,11 @@ class ModeMixture(NamedTuple):
 
 
 class ModeInnovations(NamedTuple):
-    """Of k updates: calm (k, 2), those of the calm mode, whitened; share (k,): of R in their covariance;
-    weight (k,): that the target was calm; nis (k,): the squared Mahalanobis distances in all modes, weighed by how
-    likely each is after the update. If the mixture is right its mean is 2, as exactly as with a single Gaussian."""
+    """Innovations of k updates: calm (k, 2), those of the calm mode, whitened; share (k,): of R in their
+    covariance; weight (k,): that the target was calm; nis (k,): the squared Mahalanobis distances in all modes,
+    weighed by how likely each is after the update. If the mixture is right its mean is 2, as exactly as with a
+    single Gaussian.
+    """
 
     calm: Array
     share: Array
@@ -129,7 +132,7 @@ class ModeInnovations(NamedTuple):
     def pairs(
         self, track: NDArray[np.int64], detection: NDArray[np.intp], rows: NDArray[np.intp]
     ) -> SurePairs:
-        """Of some rows (…,); track (k,) ids, detection (k,) rows of the scan."""
+        """Pairs of some rows (…,); track (k,) ids, detection (k,) rows of the scan."""
         return SurePairs(
             track[rows], detection[rows], self.calm[rows], self.share[rows], self.weight[rows], self.nis[rows]
         )

@@ -64,8 +64,9 @@ class Matched(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Of a matching: the product of pair (n, m) over its pairs, and of row (n,) and column (m,) over those without;
-    all times e^log_scale."""
+    """Weights of a matching: the product of pair (n, m) over its pairs, and of row (n,) and column (m,) over those
+    without; all times e^log_scale.
+    """
 
     pair: Array
     row: Array

@@ -1,13 +1,13 @@
 """Several explanations at once: a mixture of multi-Bernoullis, the K best global hypotheses over all tracks.
 
-Theory of operation. Where two drones cross, nobody can say from one scan who is who; a few scans later anybody can.
-So a decision is put off: each scan continues every global hypothesis (what each track has made until now) in the most
-likely ways, the K best of all are kept, and what is published is the best one. A target exists with a probability
-of its own under each hypothesis (Bernoulli), new ones appear anywhere (Poisson): the filter of Williams, "Marginal
+Theory of operation. Where two drones cross, one scan does not show which is which; a few scans later it is clear. So a
+decision is put off: each scan continues every global hypothesis (what each track has made until now) in the most
+likely ways, the K best of all are kept, and what is published is the best one. A target exists with a probability of
+its own under each hypothesis (Bernoulli), new ones appear anywhere (Poisson): the filter of Williams, "Marginal
 multi-Bernoulli filters" (IEEE T-AES 51(3), 2015) and García-Fernández et al. (2018), with three economies:
 
-* Hypotheses are kept for *clusters* of tracks in dispute. A track whose detection nobody else wants, and of which there
-  is no doubt, is settled: it has one leaf, and all of these are updated in one stroke.
+* Hypotheses are kept for *clusters* of tracks in dispute. A track whose detection no other track wants, and of which
+  there is no doubt, is settled: it has one leaf, and all of these are updated in one stroke.
 * Tentative tracks have one leaf each. They choose after the confirmed ones among what those left, so a false start
   neither multiplies the hypotheses nor takes a drone's detection away.
 * Leaves of one track that have come to say the same are one.
@@ -170,8 +170,9 @@ class Leaves(NamedTuple):
 
 
 class Merging(NamedTuple):
-    """Of L leaves of n tracks and m detections: p (L, m), that a detection is one of two targets; shift (n, 2, 2) px²:
-    how far it then lies off."""
+    """Merged detections for L leaves of n tracks and m detections: p (L, m), that a detection is one of two
+    targets; shift (n, 2, 2) px²: how far it then lies off.
+    """
 
     p: Array
     shift: Array
@@ -181,9 +182,9 @@ class Weighed(NamedTuple):
     """A scan of m detections as L leaves of n tracks see it.
 
     visibility: of the tracks; merging: None where all are resolved; misdrawn (L, m): that a detection, as the leaf's,
-    was drawn round something else as well, None where nobody knows; ratio (L, m): log-likelihood of a detection as
-    the leaf's over its being clutter; gain (L, m): of having made it, over having made none; missed (L,):
-    log-probability of having made none.
+    was drawn round something else as well, None if unknown; ratio (L, m): log-likelihood of a detection as the leaf's
+    over its being clutter; gain (L, m): of having made it, over having made none; missed (L,): log-probability of
+    having made none.
     """
 
     visibility: Visibility
@@ -202,8 +203,10 @@ class Association(NamedTuple):
 
 
 class Explanation(NamedTuple):
-    """Of a scan, by confirmed tracks. settled: the association of those beyond doubt; disputed: the clusters of the
-    others, with the columns (h, k) of their leaves; taken (m,): how surely one of them made each detection."""
+    """How confirmed tracks explain a scan. settled: the association of those beyond doubt; disputed: the clusters
+    of the others, with the columns (h, k) of their leaves; taken (m,): how surely one of them made each
+    detection.
+    """
 
     settled: Association
     disputed: list[tuple[Cluster, Indices]]

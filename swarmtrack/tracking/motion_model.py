@@ -85,11 +85,11 @@ def propagate(
 ) -> tuple[Array, Array]:
     """Carry all targets on by dt [s] while the camera turns: rotation (3, 3) is camera axes then to axes now.
 
-    At constant velocity, x' = A x, with white acceleration of density psd [px²/s³], one number or (n,): per axis
-    Q = psd [dt³/3 dt²/2; dt²/2 dt], so that P grows the same per second at any rate. Bar-Shalom, Li & Kirubarajan
-    (2001), section 6.2.2. With the turn's Jacobian F, P' = F (A P Aᵀ + Q) Fᵀ = (F A) (P + A⁻¹ Q A⁻ᵀ) (F A)ᵀ: one
-    product of matrices for each track, and not two. Back, where dt < 0, Q is zero: what a scan has told since does not
-    wear off by looking back, and nobody knows it better.
+    At constant velocity, x' = A x, with white acceleration of density psd [px²/s³], one number or (n,): per axis Q =
+    psd [dt³/3 dt²/2; dt²/2 dt], so that P grows the same per second at any rate. Bar-Shalom, Li & Kirubarajan (2001),
+    section 6.2.2. With the turn's Jacobian F, P' = F (A P Aᵀ + Q) Fᵀ = (F A) (P + A⁻¹ Q A⁻ᵀ) (F A)ᵀ: one product of
+    matrices for each track, and not two. Back, where dt < 0, Q is zero: what a scan has told since does not wear off
+    by looking back, and is not known better.
 
     rotation_variance [rad²] per axis is what the gyro does not know of it; it moves every target by its flow.
     """

@@ -170,8 +170,9 @@ class NoiseScales:
 def pairs_of(
     track: NDArray[np.int64], prior: tuple[Array, Array], measured: tuple[Array, Array], rows: Rows
 ) -> SurePairs:
-    """Of Gaussian tracks: ids (n,), means (n, 4) and covariances (n, 4, 4); measured: z (m, 2), R (m, 2, 2); rows: of
-    tracks (k,) and of detections (k,)."""
+    """Pairs of Gaussian tracks: ids (n,), means (n, 4) and covariances (n, 4, 4); measured: z (m, 2), R (m, 2, 2);
+    rows: of tracks (k,) and of detections (k,).
+    """
     (mean, cov), (z, R), (i, j) = prior, measured, rows
     S = cov[i][:, POSITION, POSITION] + R[j]
     e = whitened(z[j] - mean[i][:, POSITION], S)

@@ -88,7 +88,7 @@ class Population:
         self.learn_likeness(t, rows, measured.likeness)
 
     def learn_likeness(self, t: float, rows: NDArray[np.intp] | NDArray[np.bool_], likeness: Array) -> None:
-        """Of these rows (k), from that (k) of the detections that they made at t."""
+        """Update the likeness of these rows (k) from that (k) of their detections at t."""
         table = self.table
         new = within((t - table.looked[rows]) / INDEPENDENT_LOOK_S, REPEATED_LOOK_WEIGHT, 1.0)
         looks = np.minimum(table.looks[rows], LIKENESS_MEMORY_LOOKS - new)

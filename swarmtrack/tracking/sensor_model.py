@@ -71,8 +71,9 @@ class Measurements(NamedTuple):
 
 
 class Visibility(NamedTuple):
-    """Of n targets. p_detection (n,): that this scan detects it; in_view (n,): that it lies inside the image; overlap
-    (n, n): that i and j are not resolved in it, but one detection; None where all are."""
+    """Visibility of n targets. p_detection (n,): that this scan detects it; in_view (n,): that it lies inside the
+    image; overlap (n, n): that i and j are not resolved in it, but one detection; None where all are.
+    """
 
     p_detection: Array
     in_view: Array
@@ -80,9 +81,10 @@ class Visibility(NamedTuple):
 
 
 class Likelihoods(NamedTuple):
-    """Of n targets × m measurements. distance (n, m): squared Mahalanobis; log_ratio (n, m): how much more likely the
-    measurement is as this target's than as clutter, log N(y; 0, S) − log κ and what the boxes say; −inf beyond the
-    gate."""
+    """Likelihoods of n targets × m measurements. distance (n, m): squared Mahalanobis; log_ratio (n, m): how much
+    more likely the measurement is as this target's than as clutter, log N(y; 0, S) − log κ and what the boxes
+    say; −inf beyond the gate.
+    """
 
     distance: Array
     log_ratio: Array
@@ -184,8 +186,9 @@ class SensorModel:
     def visibility(
         self, mean: Array, cov: Array, size: Array | None = None, existence: Array | None = None
     ) -> Visibility:
-        """Of targets with means (n, 4), covariances (n, 4, 4), box sizes (n, 2) and existence (n,), both for who
-        hides whom."""
+        """Visibility of targets with means (n, 4), covariances (n, 4, 4), box sizes (n, 2) and existence (n,), both
+        for who hides whom.
+        """
         in_view = probability_in_view(mean, cov, self.camera)
         p_detection = self.parameters.p_detection * in_view
         if size is None:
@@ -220,8 +223,10 @@ class SensorModel:
         return _log_likelihood_of_sizes(size, measured.size, self.parameters.size_sigma)
 
     def likelihoods(self, mean: Array, cov: Array, boxes: Array, measured: Measurements) -> Likelihoods:
-        """Of targets with means (n, d) and covariances (n, d, d) of states that begin like [u, vu, v, vv]; boxes (n,
-        m): see `box_likelihoods`. If measured.R is (k, m, 2, 2), the same with each of k noises, k in front."""
+        """Likelihoods of targets with means (n, d) and covariances (n, d, d) of states that begin like [u, vu, v,
+        vv]; boxes (n, m): see `box_likelihoods`. If measured.R is (k, m, 2, 2), the same with each of k noises,
+        k in front.
+        """
         distance, log_density = innovations(mean, cov, measured.z, measured.R)
         log_ratio = log_density - self.log_clutter_intensity(measured.odds)
         log_ratio += boxes

@@ -2,9 +2,9 @@
 
 With keys, a pair of drones has two links: TLS on PORT for what must arrive, and QUIC on PORT + 1, whose datagrams are
 for tracks, which a lost packet must not hold up. QUIC has a stream as well, because Zenoh's four messages of greeting
-would otherwise be datagrams that nobody repeats: where two fifths of all frames are lost, one attempt in eight would
-come to an end. A client of Zenoh has one link only, so to routers it is one QUIC connection on PORT that carries both,
-streams and datagrams. Without keys it is TCP.
+would otherwise be datagrams without retransmission: where two fifths of all frames are lost, one attempt in eight
+would come to an end. A client of Zenoh has one link only, so to routers it is one QUIC connection on PORT that carries
+both, streams and datagrams. Without keys it is TCP.
 """
 
 from __future__ import annotations

@@ -3,8 +3,8 @@
 Opening, closing and blocking puts run on threads of ours, each with a time bound.
 
 On loopback, agents meet on well-known ports: each takes the lowest that is free and dials those below it, again and
-again, so whoever comes or comes back is met by all who are there, and no agent is special. When the ports are used
-up, agents listen anywhere, dial all of them, and learn of each other by Zenoh's gossip.
+again, so an agent that comes or comes back is linked to all others, and none is special. When the ports are used up,
+agents listen anywhere, dial all of them, and learn of each other by Zenoh's gossip.
 """
 
 from __future__ import annotations
@@ -137,8 +137,8 @@ async def bounded(
 ) -> _T:
     """call() on a thread of its own, for at most `seconds`; raises TransportError on ZError and timeout.
 
-    The thread is a daemon, where asyncio's own pool would hold up the process's end for a call that hangs.
-    too_late: what to do with a result that nobody waits for any more.
+    The thread is a daemon, where asyncio's own pool would hold up the process's end for a call that hangs. too_late:
+    called with a result after the timeout.
     """
     loop = asyncio.get_running_loop()
     answer: asyncio.Future[_T] = loop.create_future()

@@ -1,9 +1,8 @@
-"""Messages to bytes and back: what the drones of a team say to each other, in MessagePack.
+"""Messages to bytes and back: the messages of a team's drones, in MessagePack.
 
 Every message is an array whose first element is its version; `docs/wire.md` lists the fields, and each kind has its
-module here. Nobody vouches for the bytes, so they are capped in size before anything reads them, then typed and
-bounded by msgspec, then checked for what types cannot say. Anything else is a `DecodeError`, and nothing else is ever
-raised.
+module here. The bytes are not trusted, so they are capped in size before anything reads them, then typed and bounded
+by msgspec, then checked for what types cannot say. Anything else is a `DecodeError`, and nothing else is ever raised.
 
 On the wire a time is told twice: as UTC, and as its age when the bytes were made, which no wall clock enters.
 `utc_offset` is `clock.utc() - clock.now()` as the bytes are made. Which of the two a reader believes is the

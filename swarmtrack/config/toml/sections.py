@@ -199,7 +199,7 @@ def _section(root: type[Section], key: Key) -> type[BaseModel]:
 
 
 def check_drone_ids(keys: Iterable[str], example: str) -> None:
-    """Of a table by drone, with an entry of it as an example. Raises ValueError."""
+    """Check the keys of a table by drone, with an entry of it as an example. Raises ValueError."""
     for key in keys:
         if not re.fullmatch("[1-9][0-9]{0,4}", key, re.ASCII) or int(key) > 65535:
             raise ValueError(f"found the key {found(key)}, expected drone IDs: {example}")
