@@ -1,4 +1,4 @@
-"""What is written in a model's file beside the net."""
+"""Metadata of a net in a model's file."""
 
 from __future__ import annotations
 

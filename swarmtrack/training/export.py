@@ -32,7 +32,7 @@ class _Deployed(nn.Module):
 def export(network: nn.Module, path: Path, metadata: Mapping[str, str]) -> None:
     """Write `network` to `path`; any image size that is a multiple of 32 will do. `metadata` is added to ours.
 
-    The file appears whole or not at all: whoever reads `path` meanwhile sees the old one.
+    The file appears whole or not at all: a reader of `path` sees the old one meanwhile.
     """
     ours = {
         "head": "centernet",

@@ -121,7 +121,7 @@ def origins(clips: Sequence[Clip], frames: Sequence[LabelledFrame]) -> dict[str,
 
 
 def labelled_frames(clip: Clip, origin: Origin, every: int) -> Iterator[LabelledFrame]:
-    """Each `every`-th frame of a clip that has a label, whole. Others may show what nobody labelled."""
+    """Each `every`-th frame of a clip that has a label, whole. Others may show unlabelled drones."""
     truth = read_truth(clip.truth)
     video = cv2.VideoCapture(str(clip.video))
     try:

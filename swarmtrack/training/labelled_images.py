@@ -40,9 +40,10 @@ class DataError(SwarmtrackError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LabelledFrame:
-    """One photograph. image (h, w, 3) BGR uint8; drones (n, 4), distractors (m, 4): boxes (u, v, w, h) px; kinds: what
-    each distractor is; is_window: it is cut from a frame, around one of them; spans_px (n,): of each drone, as level
-    across the view, None where nobody knows."""
+    """One photograph. image (h, w, 3) BGR uint8; drones (n, 4), distractors (m, 4): boxes (u, v, w, h) px; kinds:
+    what each distractor is; is_window: it is cut from a frame, around one of them; spans_px (n,): of each drone,
+    as level across the view, None if unknown.
+    """
 
     name: str
     source: str

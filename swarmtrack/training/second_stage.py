@@ -3,8 +3,8 @@
 Theory of operation. A training first collects candidates, in labelled pictures, clips and drawn pictures
 (`candidates`), then learns to tell their kinds apart: drones, each kind of look-alike, and all else. Half of a batch
 are drones. What is no drone is taken by kind, then by clip, and only then by frame, so that no long clip outweighs
-others. Each is turned, enlarged, and photographed anew each time. Last, what the stage says of candidates that were
-held out is fitted beside the detector's own scores by logistic regression.
+others. Each is turned, enlarged, and photographed again each time. Last, what the stage says of candidates that were
+held out is fitted together with the detector's own scores by logistic regression.
 
 With them it learns how wide drones are: from simulated ones, whose span is known, and less from real ones, of which
 only what is visible is known.

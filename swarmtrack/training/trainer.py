@@ -57,7 +57,7 @@ class Settings:
 
 @dataclass(slots=True)
 class TrainingProgress:
-    """Where a training stands; what a checkpoint holds beside the weights."""
+    """Where a training stands; what a checkpoint holds in addition to the weights."""
 
     steps: int = 0
     images: int = 0
@@ -77,7 +77,7 @@ def train(
     start: Path | None = None,
     resume: bool = False,
 ) -> TrainingProgress:
-    """Train, write `out` (ONNX) and beside it the checkpoint (`.pt`, to go on from); returns how it went.
+    """Train, write `out` (ONNX) and next to it the checkpoint (`.pt`, to go on from); returns how it went.
 
     validation: images that are not trained on; the history tells how well each checkpoint does on them.
     """

@@ -12,7 +12,7 @@ from support.places import ROOT
 
 PACKAGE = ROOT / "swarmtrack"
 OUTSIDE = ("agents", "benchmarks")  # links: the programs and benchmarks beside the package
-WAITS = {"identity", "lab", "onboard.py", "perceived.py", "runtime/door.py", "training"}
+WAITS = {"identity", "lab", "onboard.py", "perceived.py", "runtime/door.py"}
 """Rooms and modules that still have such docstrings. Identity's change with its rules."""
 
 REFUSED = {
