@@ -40,12 +40,12 @@ DRIFT, CLIMB = 0, 1
 
 
 class HeightDrift(NamedTuple):
-    """off [m]: excess of the own height relative to a teammate's; sigma [m]; said: it is worth reporting."""
+    """off [m]: excess of the own height relative to a teammate's; sigma [m]; is_reported: it is large enough."""
 
     drone_id: int
     off: float
     sigma: float
-    said: bool
+    is_reported: bool
 
 
 class HeightWatch:
@@ -79,16 +79,17 @@ class HeightWatch:
     def drifts(self) -> list[HeightDrift]:
         """Drift relative to each teammate."""
         return [
-            HeightDrift(drone, float(row.x[DRIFT]), row.sigma, row.said) for drone, row in self._rows.items()
+            HeightDrift(drone, float(row.x[DRIFT]), row.sigma, row.is_reported)
+            for drone, row in self._rows.items()
         ]
 
     @property
     def doubt(self) -> str | None:
         """The drone whose height seems wrong, in words; None without one."""
         drifts = self.drifts
-        said = [drift for drift in drifts if drift.said]
+        said = [drift for drift in drifts if drift.is_reported]
         followed = [drift for drift in drifts if drift.drone_id in self._references]
-        if not said or (not any(drift.said for drift in followed) and any(map(_agrees, followed))):
+        if not said or (not any(drift.is_reported for drift in followed) and any(map(_agrees, followed))):
             return None
         worst = max(said, key=lambda drift: (drift.drone_id in self._references, abs(drift.off)))
         if any(abs(drift.off) < HEIGHT_AGREES_M for drift in drifts):
@@ -106,7 +107,7 @@ class _Row:
     def __init__(self, sight: HeightSight) -> None:
         self.word = sight.word
         self.t = self.taken_t = sight.t
-        self.said = False
+        self.is_reported = False
         # Of the constant nothing is known but this: somebody may have begun to count far above, or below.
         self.x = np.array([0.0, 0.0, sight.off, 0.0, 0.0])
         self.P = np.diag([0.0, HEIGHT_RATE_SIGMA_M_S**2, HEIGHT_CONSTANT_SIGMA_M**2, TILT_ERROR_RAD**2, 1.0])
@@ -133,11 +134,7 @@ class _Row:
         # Joseph form: stays symmetric and positive.
         self.P = A @ self.P @ A.T + sight.sigma**2 * np.outer(K, K)
         off, sigma = abs(float(self.x[DRIFT])), self.sigma
-        self.said = (
-            off > HEIGHT_DRIFT_GONE_M
-            if self.said
-            else off > max(HEIGHT_DRIFT_REPORTED_M, HEIGHT_DRIFT_SIGMAS * sigma)
-        )
+        self.is_reported = off > HEIGHT_DRIFT_GONE_M if self.is_reported else off > max(HEIGHT_DRIFT_REPORTED_M, HEIGHT_DRIFT_SIGMAS * sigma)
 
     def _predict(self, dt: float) -> None:
         tilt, distance = math.exp(-dt / TILT_ERROR_LASTS_S), math.exp(-dt / RANGE_ERROR_LASTS_S)

@@ -137,7 +137,7 @@ class _SwarmRecording:
         match address.kind:
             case Kind.IDENTITIES:
                 said = codec.decode(SightingsMessage, heard.payload)
-                self.hearsay.heard[said.drone_id, said.boot, said.sequence] = heard.t - said.age_s
+                self.hearsay.received[said.drone_id, said.boot, said.sequence] = heard.t - said.age_s
             case Kind.TRACKS:
                 head = msgspec.msgpack.decode(heard.payload, type=_TracksHead)
                 tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))

@@ -26,7 +26,7 @@ from swarmtrack.recording.reader import Message, Recording
 
 SAID_TOPIC, SIGHTINGS_TOPIC = "/said", "/peers/sightings"
 
-Said = tuple[int, str, int]  # who, which life, number
+SightingKey = tuple[int, str, int]  # drone ID, boot, sequence
 
 
 class Shift(NamedTuple):
@@ -40,30 +40,30 @@ class Shift(NamedTuple):
 class SightingTimes:
     """Sightings sent and received in one recording: their exposures, by its clock [s]."""
 
-    said: dict[Said, float] = field(default_factory=dict)
-    heard: dict[Said, float] = field(default_factory=dict)
+    sent: dict[SightingKey, float] = field(default_factory=dict)
+    received: dict[SightingKey, float] = field(default_factory=dict)
 
     def note(self, message: Message) -> None:
         """Take note of any message of a drone's recording."""
         if message.topic == SAID_TOPIC:
             record = msgspec.json.decode(message.data)
-            self.said[record["drone_id"], record["boot"], record["sequence"]] = float(record["t_s"])
+            self.sent[record["drone_id"], record["boot"], record["sequence"]] = float(record["t_s"])
         elif message.topic == SIGHTINGS_TOPIC:
             record = msgspec.json.decode(message.data)
-            self.heard[record["observer"], record["boot"], record["sequence"]] = float(record["t_s"])
+            self.received[record["observer"], record["boot"], record["sequence"]] = float(record["t_s"])
 
 
 def shifts(recordings: Sequence[Recording]) -> list[Shift]:
     """Offset of each recording, in order; the first is 0."""
-    hearsay = []
+    sightings = []
     for recording in recordings:
-        hearsay.append(SightingTimes())
+        sightings.append(SightingTimes())
         for message in recording.messages({SAID_TOPIC, SIGHTINGS_TOPIC}):
-            hearsay[-1].note(message)
-    return shifts_by(hearsay, [utc_offset(recording) for recording in recordings])
+            sightings[-1].note(message)
+    return shifts_by(sightings, [utc_offset(recording) for recording in recordings])
 
 
-def shifts_by(hearsay: Sequence[SightingTimes], utc: Sequence[float]) -> list[Shift]:
+def shifts_by(sightings: Sequence[SightingTimes], utc: Sequence[float]) -> list[Shift]:
     """Offset of each recording, from the messages that it sent and received. utc: its estimate of UTC minus its
     monotonic clock [s].
     """
@@ -71,13 +71,13 @@ def shifts_by(hearsay: Sequence[SightingTimes], utc: Sequence[float]) -> list[Sh
     waiting = deque([0])
     while waiting:
         i = waiting.popleft()
-        for j in range(len(hearsay)):
-            if j not in found and (offset := _offset(hearsay[i], hearsay[j])) is not None:
+        for j in range(len(sightings)):
+            if j not in found and (offset := _offset(sightings[i], sightings[j])) is not None:
                 found[j] = found[i] + offset
                 waiting.append(j)
     return [
         Shift(utc[0] - utc[i] - found[i], "messages") if i in found else Shift(0.0, "UTC")
-        for i in range(len(hearsay))
+        for i in range(len(sightings))
     ]
 
 
@@ -162,9 +162,13 @@ def utc_offset(recording: Recording) -> float:
 
 
 def _offset(one: SightingTimes, other: SightingTimes) -> float | None:
-    """The other's clock minus the one's [s]; None where neither heard the other."""
-    there = min((other.heard[key] - t for key, t in one.said.items() if key in other.heard), default=math.inf)
-    back = min((one.heard[key] - t for key, t in other.said.items() if key in one.heard), default=math.inf)
+    """The other's clock minus the one's [s]; None where neither received the other."""
+    there = min(
+        (other.received[key] - t for key, t in one.sent.items() if key in other.received), default=math.inf
+    )
+    back = min(
+        (one.received[key] - t for key, t in other.sent.items() if key in one.received), default=math.inf
+    )
     if math.isinf(there) and math.isinf(back):
         return None
     if math.isinf(back):

@@ -112,7 +112,7 @@ class RecordedDrone:
     ego: EgoHistory
     clock_offset: float
     newest: float = -math.inf
-    told: dict[int, ReportedPath] = field(default_factory=dict)
+    reported: dict[int, ReportedPath] = field(default_factory=dict)
     teammates: set[int] = field(default_factory=set)
 
     @property
@@ -207,7 +207,7 @@ def pose_of(
     for one in flown:
         if one.drone_id == drone_id and (pose := one.pose_at(common)) is not None:
             return pose
-    told = observer.told.get(drone_id)
+    told = observer.reported.get(drone_id)
     return told.at(common - observer.clock_offset) if told else None
 
 
@@ -229,11 +229,11 @@ def _read(recording: Recording, shift: float) -> RecordedDrone:
                 ego.restart()
             case Announcement():
                 flown.teammates.add(event.drone_id)
-                flown.told.setdefault(event.drone_id, ReportedPath()).add(
+                flown.reported.setdefault(event.drone_id, ReportedPath()).add(
                     event.t, event.position, math.sqrt(float(np.trace(event.position_cov)) / 3)
                 )
             case SightingReport():
-                told = flown.told.setdefault(event.observer, ReportedPath())
+                told = flown.reported.setdefault(event.observer, ReportedPath())
                 told.add(event.t, event.position, event.position_sigma)
     return flown
 

@@ -123,7 +123,7 @@ def test_of_two_that_agree_the_third_is_wrong():
     watch, seen = HeightWatch((1,)), Seen(3, (1, 3))
     seen.fly(watch, 10.0)
     seen.fly(watch, 20.0, 0.2)
-    while len([drift for drift in watch.drifts if drift.said]) < 2:
+    while len([drift for drift in watch.drifts if drift.is_reported]) < 2:
         seen.fly(watch, DT, 0.2)
     assert watch.doubt.startswith("own height seems wrong by 0.")
     watch, seen = HeightWatch((1,)), Seen(3, (1, 3))
@@ -140,7 +140,7 @@ def test_a_teammate_by_whom_nobody_flies_holds_nobody():
     watch, seen = HeightWatch((1,)), Seen(4, (1, 3))
     seen.fly(watch, 10.0)
     assert seen.fly(watch, 15.0, 0.2, drifting=(3,)) is None
-    assert [drift.drone_id for drift in watch.drifts if drift.said] == [3]
+    assert [drift.drone_id for drift in watch.drifts if drift.is_reported] == [3]
 
 
 def test_a_leader_that_was_lost_while_it_drifted_is_no_witness_for_the_own_height():
