@@ -206,7 +206,7 @@ def breaks(which: str, monkeypatch: pytest.MonkeyPatch) -> None:
         case "hearing":
             monkeypatch.setattr(MonitoredTeam, "_on_health", falls_over)
         case "verdict":
-            monkeypatch.setattr(monitored.Reports, "judge", falls_over)
+            monkeypatch.setattr(monitored.Reports, "evaluate", falls_over)
         case "picture":
             monkeypatch.setattr(live, "boxes", falls_over)
 
