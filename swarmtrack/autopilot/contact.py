@@ -43,8 +43,8 @@ class Contact:
 
 
 class RepeatLimiter:
-    """Logger that repeats the same line at most every LINK_NEWS_PERIOD_S seconds, so that a flapping link does not flood the
-    log.
+    """Logger that repeats the same line at most every LINK_NEWS_PERIOD_S seconds, so that a flapping link does not
+    flood the log.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:

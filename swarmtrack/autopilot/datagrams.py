@@ -42,8 +42,8 @@ class DatagramSocket:
         self._looked_at = clock.now()
 
     def waiting(self) -> Iterator[Datagram]:
-        """Datagrams since the last call, in order, at most `DATAGRAMS_PER_TURN`. Raises `OSError` for a reported network error;
-        the next call reads the rest.
+        """Datagrams since the last call, in order, at most `DATAGRAMS_PER_TURN`. Raises `OSError` for a reported
+        network error; the next call reads the rest.
         """
         now, utc, since = self._clock.now(), self._clock.utc(), self._looked_at
         for _ in range(DATAGRAMS_PER_TURN):

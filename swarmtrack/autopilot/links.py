@@ -154,9 +154,9 @@ class LiveLink:
 class UdpLink(LiveLink):
     """`udpin` listens, and answers to the autopilot's address; `udpout` sends first.
 
-    The peer is learned from a valid frame of our autopilot only: otherwise any sender of one byte captures our
-    answers. It is kept until it has been silent for UDP_PEER_SILENT_S: what others send meanwhile is counted and not read,
-    or anyone in reach could feed us a false position.
+    The peer is learned from a valid frame of our autopilot only: otherwise any sender of one byte captures our answers.
+    It is kept until it has been silent for UDP_PEER_SILENT_S: what others send meanwhile is counted and not read, or
+    anyone in reach could feed us a false position.
     """
 
     datagrams = True

@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.arguments import page
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter, heartbeat
-from swarmtrack.autopilot.engagement import CURRENT_MODE_HZ, PilotEngagement
+from swarmtrack.autopilot.engagement import PilotEngagement
 from swarmtrack.autopilot.flight import FlightWatch
 from swarmtrack.autopilot.framer import FAST_CRC, Framer, MavlinkFrame
 from swarmtrack.autopilot.global_position import GlobalPosition

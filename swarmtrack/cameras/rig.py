@@ -395,7 +395,7 @@ class Rig:
                 self._seam(giver, taker).lost += 1
         return frozenset(crossed)
 
-    def take_news(self) -> list[SeamNews]:
+    def _seam_news(self) -> list[SeamNews]:
         """News of seams; each is returned once."""
         news = []
         for (first, second), seam in self._seams.items():

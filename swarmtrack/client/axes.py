@@ -21,7 +21,7 @@ class Axes(enum.Enum):
     @property
     def world_from_ned(self) -> Array:
         """Rotation matrix (3, 3)."""
-        return np.eye(3) if self is Axes.NED else _ENU_FROM_NED
+        return np.eye(3) if self is Axes.NED else ENU_FROM_NED
 
     @property
     def body_from_frd(self) -> Array:

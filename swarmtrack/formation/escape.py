@@ -1,8 +1,8 @@
 """Vertical evasion: only for an imminent collision, and not into the heights of other drones' slots.
 
 A drone to the side is out of sight, and only heights separate the two. So vertical evasion comes last: when less than
-`COLLISION_WITHIN_S` is left. Then the drone climbs or sinks past the other, by `ESCAPE_MOST_M` at most, and stays half a metre off every
-other slot's height of the plan.
+`COLLISION_WITHIN_S` is left. Then the drone climbs or sinks past the other, by `ESCAPE_MOST_M` at most, and stays half
+a metre off every other slot's height of the plan.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def room(own: float, others: Iterable[float]) -> FreeHeights:
 
 
 def who_collides(near: Sequence[Obstacle], flies: Velocity) -> Obstacle | None:
-    """The track that will be within `COLLISION_CONTACT_M` in less than `COLLISION_WITHIN_S`; of several the first. flies [m/s]: this
-    drone's command.
+    """The track that will be within `COLLISION_CONTACT_M` in less than `COLLISION_WITHIN_S`; of several the first.
+    flies [m/s]: this drone's command.
     """
     soonest, first = COLLISION_WITHIN_S, None
     for other in near:

@@ -7,10 +7,10 @@ Theory of operation. A command has five parts, in this order:
    lost, the last command fades; then the drone holds, and never searches.
 3. The height is that of the slot, held by the own autopilot's. Right after engaging it comes first: a drone that flies
    level through other drones' heights meets them where no camera looks.
-4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from
-   every track, named or not, and the fence bends it inwards; a step of theirs is not slowed down. No evasion leads
-   beyond the fence, nor farther than `LED_MOST_ASIDE_M` from the slot (`Berth`), nor out of the own height: a drone to the
-   side is out of sight, and kept apart by heights alone.
+4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from every
+   track, named or not, and the fence bends it inwards; a step of theirs is not slowed down. No evasion leads beyond the
+   fence, nor farther than `LED_MOST_ASIDE_M` from the slot (`Berth`), nor out of the own height: a drone to the side is
+   out of sight, and kept apart by heights alone.
 5. The first camera turns to the references, and to where they were last expected.
 """
 

@@ -61,7 +61,11 @@ class HeightWatch:
     def add_sights(self, sights: Iterable[HeightSight], t: float) -> None:
         """Add sights of confidently named teammates; the same sight twice counts once. t [s]: now."""
         if any(abs(t - row.taken_t) > HEIGHT_DRIFT_STALE_S for row in self._rows.values()):
-            self._rows = {drone: row for drone, row in self._rows.items() if abs(t - row.taken_t) <= HEIGHT_DRIFT_STALE_S}
+            self._rows = {
+                drone: row
+                for drone, row in self._rows.items()
+                if abs(t - row.taken_t) <= HEIGHT_DRIFT_STALE_S
+            }
         for sight in sights:
             if not _is_possible(sight) or not abs(t - sight.t) <= HEIGHT_DRIFT_STALE_S:
                 continue
@@ -134,7 +138,11 @@ class _Row:
         # Joseph form: stays symmetric and positive.
         self.P = A @ self.P @ A.T + sight.sigma**2 * np.outer(K, K)
         off, sigma = abs(float(self.x[DRIFT])), self.sigma
-        self.is_reported = off > HEIGHT_DRIFT_GONE_M if self.is_reported else off > max(HEIGHT_DRIFT_REPORTED_M, HEIGHT_DRIFT_SIGMAS * sigma)
+        self.is_reported = (
+            off > HEIGHT_DRIFT_GONE_M
+            if self.is_reported
+            else off > max(HEIGHT_DRIFT_REPORTED_M, HEIGHT_DRIFT_SIGMAS * sigma)
+        )
 
     def _predict(self, dt: float) -> None:
         tilt, distance = math.exp(-dt / TILT_ERROR_LASTS_S), math.exp(-dt / RANGE_ERROR_LASTS_S)

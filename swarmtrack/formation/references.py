@@ -43,8 +43,8 @@ class ReferenceWatch:
         self._known_track = self.camera = None
 
     def restart(self) -> None:
-        """No track has its name, or it has not been seen for too long: the conditions have to hold for `REFERENCE_ENTRY_S`
-        again.
+        """No track has its name, or it has not been seen for too long: the conditions have to hold for
+        `REFERENCE_ENTRY_S` again.
         """
         self.trusted = self.entering = False
         self._track = self._sure_since = None

@@ -5,8 +5,8 @@ floor: it may fly into one of two drones. Here each half-space of a drone is rel
 answer is the velocity of the least t; of those the nearest to `goal`. The limits (fence, height, speed) are not
 relaxed.
 
-It is again a projection onto half-spaces, of (goal, -SQUEEZE_REACH_M_S) in the space of (v, t), and there they always meet.
-The ball of speeds has a correction of its own, as in Boyle & Dykstra (1986).
+It is again a projection onto half-spaces, of (goal, -SQUEEZE_REACH_M_S) in the space of (v, t), and there they always
+meet. The ball of speeds has a correction of its own, as in Boyle & Dykstra (1986).
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """The page of a recording: the same `MonitoredTeam` as of a running swarm, told again what was said.
 
-Theory of operation. Playing goes in steps of PLAYER_STEP_S of the recording. In a step the team is told all words up to its
-end and then looks around once, so the state is a function of the step, however it was reached. To seek back, the
-nearest checkpoint (the team, pickled every CHECKPOINT_S) is taken and told the rest. All viewers share one position,
-as before one screen: a viewer that moves the slider moves it for all.
+Theory of operation. Playing goes in steps of PLAYER_STEP_S of the recording. In a step the team is told all words up to
+its end and then looks around once, so the state is a function of the step, however it was reached. To seek back, the
+nearest checkpoint (the team, pickled every CHECKPOINT_S) is taken and told the rest. All viewers share one position, as
+before one screen: a viewer that moves the slider moves it for all.
 """
 
 from __future__ import annotations

@@ -244,7 +244,7 @@ class MonitoredTeam:
 
     def refresh(self) -> None:
         """Update departures and the verdict: to be called a few times per second, also without viewers."""
-        with self.leaves_out("who sees whom"):
+        with self.leaves_out("the table of identities"):
             self._look(self._clock.now())
             return
         self.forget_untellable()

@@ -1,10 +1,11 @@
 """The code of a drone: how it sways up and down so that its teammates know who it is, with nothing on the air.
 
-Theory of operation. Each of a team of n has a frequency of its own, spread evenly from `SWAY_SLOWEST_HZ` to `SWAY_FASTEST_HZ` in
-the order of their IDs. At a time that all know beforehand every drone sways by `SWAY_AMPLITUDE_M` about its own height, for
-`SWAY_LASTS_S`. Vertical, because gravity is the one direction that all share and a height is held best; a sine, because it
-stays a sine when a clock is off; upwards first, away from the ground. In a large team neighbours in frequency would
-look alike for seconds, so every second one goes down first. It begins and ends without a jump of the jerk.
+Theory of operation. Each of a team of n has a frequency of its own, spread evenly from `SWAY_SLOWEST_HZ` to
+`SWAY_FASTEST_HZ` in the order of their IDs. At a time that all know beforehand every drone sways by `SWAY_AMPLITUDE_M`
+about its own height, for `SWAY_LASTS_S`. Vertical, because gravity is the one direction that all share and a height is
+held best; a sine, because it stays a sine when a clock is off; upwards first, away from the ground. In a large team
+neighbours in frequency would look alike for seconds, so every second one goes down first. It begins and ends without a
+jump of the jerk.
 """
 
 from __future__ import annotations

@@ -63,27 +63,8 @@ def _draw(image: Image, track: DrawnTrack, trail: NDArray[np.int32]) -> None:
     write_text(image, track.label, _whole(track.label_at(image.shape[1])), colour)
 
 
-def label_of(seen: SeenTrack) -> str:
-    """Name, range where known, and whether it is lost: `drone 2 8.4 m`."""
-    identity, relative = seen.entry.identity, seen.entry.relative
-    number = f"track {seen.entry.track.id}"
-    parts = [
-        number
-        if identity is None
-        else f"{_name(identity)}, {number}"
-        if identity == FOREIGN
-        else _name(identity)
-    ]
-    if relative is not None:
-        read = read_out(relative.position, relative.velocity, relative.cov)
-        parts.append(f"{read.distance:.1f} m")
-    if seen.entry.track.status is not TrackStatus.CONFIRMED:
-        parts.append("(lost)")
-    return " ".join(parts)
-
-
-def _name(identity: int | str) -> str:
-    return f"drone {identity}" if identity != FOREIGN else FOREIGN
+def _whole(point: Array | tuple[float, float]) -> tuple[int, int]:
+    return round(point[0]), round(point[1])
 
 
 def write_text(image: Image, text: str, at: tuple[int, int], colour: tuple[int, int, int]) -> None:

@@ -3,8 +3,9 @@
     0001.mcap  0002.mcap  0003.mcap.active
 
 A file that ends in `.active` is being written, or was when its process died; every reader here accepts it, and
-`swarmtrack log repair` completes it. A chunk is written whole and at least every `CHUNK_FLUSH_S`, so that a file that was cut
-contains all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recording_thread.py` does.
+`swarmtrack log repair` completes it. A chunk is written whole and at least every `CHUNK_FLUSH_S`, so that a file that
+was cut contains all but its last moments. Nothing here reads a clock or starts a thread: `runtime/recording_thread.py`
+does.
 """
 
 from __future__ import annotations

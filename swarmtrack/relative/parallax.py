@@ -18,8 +18,9 @@ once
 
 It is so no longer, and has to be shown again,
 
-* when it is not where the fit expects it: it does not stand still, or the track is another thing by now;
-* when it has grown: what was beyond `PARALLAX_FAR_M` is beyond `PARALLAX_REACH_M` until it appears larger by their quotient. That needs
+* when it is not where the fit expects it: it does not stand still, or the track is another thing by now; * when it has
+grown: what was beyond `PARALLAX_FAR_M` is beyond `PARALLAX_REACH_M` until it appears larger by their quotient. That
+needs
   no range, and no drone approaches without growing;
 * when the own place has leapt: a leap that was not flown is a bend in which nothing moved, so that all were far off.
 

@@ -133,7 +133,8 @@ class Teamwork:
 
     def describe_camera(self) -> None:
         """Publish our camera, for directions from the pixels of our tracks; before the network opens."""
-        lenses, mountings = self._perceived.lenses, self._perceived.mountings
+        lenses = [each.lens for each in self._perceived.cameras]
+        mountings = [each.body_from_camera for each in self._perceived.cameras]
         try:
             self._transport.describe(
                 codec.encode(camera_message(self._drone_id, self._boot, lenses, mountings))

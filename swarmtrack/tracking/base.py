@@ -140,7 +140,7 @@ class Tracker:
     @property
     def counters(self) -> Mapping[str, int]:
         """Rejected and lost scans and tracks, by name, for health."""
-        return {"late_scans": self._late_scans, **self._sensor.counters, **self._filter.counters}
+        return {"late_scans": self._late_scans, **self._sensor.counters, **self.filter.counters}
 
     @property
     def consistency(self) -> Consistency | None:

@@ -41,8 +41,9 @@ DRAWN_ROOM = (
 
 
 class Candidate(NamedTuple):
-    """picture (KEPT_SIDE_PX, KEPT_SIDE_PX, 3) BGR; kind: `DRONE_CLASS`, what else was labelled there, or `OTHER`; source: the clip;
-    score: of the detector, 0 for what it overlooked; span: of a drone, px of the picture, NaN if unknown.
+    """picture (KEPT_SIDE_PX, KEPT_SIDE_PX, 3) BGR; kind: `DRONE_CLASS`, what else was labelled there, or `OTHER`;
+    source: the clip; score: of the detector, 0 for what it overlooked; span: of a drone, px of the picture, NaN if
+    unknown.
     """
 
     picture: NDArray[np.uint8]

@@ -245,8 +245,8 @@ class Peers:
         return True
 
     async def ask_for_missing(self, ask: Callable[[int], None]) -> None:
-        """Run until cancelled: query a moment after each newcomer, then every `ANNOUNCEMENT_QUESTION_PERIOD_S` while its announcement
-        is missing. Also reports IDs whose apparent restart is a clash.
+        """Run until cancelled: query a moment after each newcomer, then every `ANNOUNCEMENT_QUESTION_PERIOD_S` while
+        its announcement is missing. Also reports IDs whose apparent restart is a clash.
         """
         loop = asyncio.get_running_loop()
         due: dict[int, float] = {}

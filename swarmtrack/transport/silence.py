@@ -7,9 +7,9 @@ stands. So a teammate that is silent for longer than a reporting interval is que
 whatever its autopilot does. One that has been silent for a lease is reported as *not heard*; after two, the links are
 reopened.
 
-Zenoh cannot close a link to a single peer, so all are closed, and not again within `REOPEN_REST_S`. A teammate that stays
-silent afterwards may have reasons of its own: for it, the interval grows fourfold each time. Pure state; times by any
-clock [s].
+Zenoh cannot close a link to a single peer, so all are closed, and not again within `REOPEN_REST_S`. A teammate that
+stays silent afterwards may have reasons of its own: for it, the interval grows fourfold each time. Pure state; times by
+any clock [s].
 """
 
 from __future__ import annotations
