@@ -147,7 +147,10 @@ class Flight:
                 yield report, entry, ids[int(np.nanargmin(away))], float(np.nanmin(away))
 
 
-@pytest.mark.parametrize("azimuths", [(0.0,), (-40.0, 40.0), ALL_ROUND])
+@pytest.mark.parametrize(
+    "azimuths",
+    [(0.0,), (-40.0, 40.0), pytest.param(ALL_ROUND, marks=pytest.mark.long("four cameras, not two"))],
+)
 def test_names_stay_with_their_drones_while_these_cross_from_camera_to_camera(azimuths):
     flight = Flight(azimuths)
     flight.fly(0.0, 2.0)

@@ -28,6 +28,9 @@ pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.scripted_team import scripted_team
 
+# Whether the page fits a phone, test_it_fits_its_screen looks in the default run.
+SCREENS = [(1280, 800), pytest.param(390, 844, marks=pytest.mark.long("once more on a phone, in Chromium"))]
+
 PAGE = ROOT / "swarmtrack" / "monitor" / "page" / "index.html"
 
 
@@ -106,7 +109,7 @@ async def test_three_drones_agree_then_one_errs_one_has_no_imu_and_one_is_gone(t
 
 
 @needs_chromium
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), SCREENS)
 async def test_the_map_shows_each_teammate_where_the_observer_sees_it_in_metres(
     team: str, width: int, height: int
 ) -> None:
@@ -209,7 +212,7 @@ async def test_a_large_team_has_a_readable_matrix(team: str, drones: int) -> Non
 
 
 @needs_chromium
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), SCREENS)
 async def test_a_drone_with_four_cameras_has_a_picture_of_each_and_all_directions_in_one_strip(
     team: str, width: int, height: int
 ) -> None:

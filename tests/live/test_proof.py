@@ -22,7 +22,7 @@ SWAYING = PAIR.replace("imu_rate_hz = 50.0\n", "imu_rate_hz = 50.0\nshare_hz = 5
     "ring = { radius_m = 2.0 }\n",
     "ring = { radius_m = 2.0 }\nsway = { amplitude_m = [0.3, 0.3, 0.3], period_s = [4.0, 7.0] }\n",
 )
-LENGTHS = ("12", "48")  # s: the longer one where the machine is busy
+LENGTHS = ("9", "48")  # s: the longer one where the machine is busy
 
 
 async def test_a_proof_is_on_the_page_and_in_the_verdict(tmp_path: Path) -> None:

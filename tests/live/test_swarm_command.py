@@ -357,7 +357,16 @@ def test_an_agent_that_dies_is_reported_with_its_last_words_also_while_another_i
     assert not living(tmp_path)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGINT,
+        signal.SIGKILL,
+        pytest.param(
+            signal.SIGTERM, marks=pytest.mark.long("a third flight; SIGTERM ends it as Ctrl-C does")
+        ),
+    ],
+)
 def test_whatever_ends_the_launcher_nothing_is_left(tmp_path, number):
     process = start(tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "60")
     until(lambda: pid_of(tmp_path, "drone-2.toml"), "drone 2 is started")

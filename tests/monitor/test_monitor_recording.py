@@ -44,6 +44,9 @@ from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec
 from swarmtrack.wire.sightings import SightingsMessage
 
+# Whether the page fits a phone, test_it_fits_its_screen looks in the default run.
+SCREENS = [(1280, 800), pytest.param(390, 844, marks=pytest.mark.long("once more on a phone, in Chromium"))]
+
 
 @pytest.fixture(scope="module")
 def heard(tmp_path_factory) -> Path:
@@ -352,7 +355,7 @@ async def test_two_viewers_share_one_position(heard):
 
 
 @needs_chromium
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), SCREENS)
 async def test_the_map_of_a_recording_has_the_ellipses_of_the_chosen_drone(flown, width, height):
     async with playing(flown) as url, browser_page(width, height) as (page, misdeeds):
         await page.goto(url)
@@ -371,7 +374,7 @@ async def test_the_map_of_a_recording_has_the_ellipses_of_the_chosen_drone(flown
 
 
 @needs_chromium
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), SCREENS)
 async def test_a_recording_of_two_cameras_shows_both_pictures_and_all_directions(tmp_path, width, height):
     recorded(tmp_path)
     async with playing(tmp_path / "rec") as url, browser_page(width, height) as (page, misdeeds):
@@ -396,7 +399,7 @@ async def test_a_recording_of_two_cameras_shows_both_pictures_and_all_directions
 
 
 @needs_chromium
-@pytest.mark.parametrize(("width", "height"), [(1280, 800), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), SCREENS)
 async def test_the_slider_moves_the_time_and_the_sentence(heard, width, height):
     async with playing(heard) as url, browser_page(width, height) as (page, misdeeds):
         await page.goto(url)
