@@ -93,15 +93,19 @@ def read_timeline(paths: Sequence[Path]) -> Timeline:
         raise RecordingError(
             "; ".join([f"{where}: holds no message of any drone, expected the recording of a flight", *notes])
         )
-    flights = [
+    notes += _drop_all_but_the_last_flight(events, where)
+    return Timeline(teams[0], events, tracked, blob_file, notes)
+
+
+def _drop_all_but_the_last_flight(events: list[TimelineEvent], where: str) -> list[str]:
+    """A note if there were several."""
+    begins = [
         k for k, (one, next_one) in enumerate(pairwise(events), 1) if next_one.t - one.t > FLIGHTS_APART_S
     ]
-    if flights:
-        notes.append(
-            f"{where}: holds {len(flights) + 1} flights, plays the last; name the folder of another for it"
-        )
-        del events[: flights[-1]]
-    return Timeline(teams[0], events, tracked, blob_file, notes)
+    if not begins:
+        return []
+    del events[: begins[-1]]
+    return [f"{where}: holds {len(begins) + 1} flights, plays the last; name the folder of another for it"]
 
 
 class _SwarmRecording:

@@ -47,31 +47,6 @@ News = (
 
 def describe(news: News) -> str:
     match news:
-        case Announcement(drone_id=drone_id, boot=boot, sequence=sequence):
-            again = f", number {sequence}" if sequence > 1 else ""
-            return f"drone {drone_id} announced itself (boot {boot}{again})"
-        case PeerArrived(drone_id=drone_id, boot=boot):
-            return f"drone {drone_id} is alive (boot {boot})"
-        case PeerDeparted(drone_id=drone_id, boot=boot):
-            return f"drone {drone_id} is gone (boot {boot})"
-        case PeerExpelled(drone_id=drone_id):
-            return f"drone {drone_id} is no longer in the team's roster, its messages are ignored"
-        case IdClash(drone_id=drone_id, boots=boots, ours=True):
-            said = f"another agent uses our drone.id = {drone_id} (boots {', '.join(boots)})"
-            return f"{said}: change drone.id of one of them"
-        case IdClash(drone_id=drone_id, boots=boots):
-            return (
-                f"two agents use drone.id = {drone_id} (boots {', '.join(boots)}): change drone.id of one of them; "
-                f"until then no track gets this ID"
-            )
-        case AnnouncementRequested():
-            return "a teammate asked for our pose: announced again"
-        case SightingReport(observer=observer):
-            return f"drone {observer} reported sightings"
-        case MotionReport(drone_id=drone_id):
-            return f"drone {drone_id} reported its motion"
-        case RangeReport(other=other):
-            return f"our ranging radio measured the range to drone {other}"
         case HeadingNews(step=step) if step:
             return f"our heading stepped by {math.degrees(step):+.1f}° against the gyro: announced again"
         case HeadingNews():
@@ -111,6 +86,37 @@ def describe(news: News) -> str:
             return _describe_seam(news)
         case MountingNews():
             return _describe_mounting(news)
+        case _:
+            return _describe_peer(news)
+
+
+def _describe_peer(event: PeerEvent) -> str:
+    match event:
+        case Announcement(drone_id=drone_id, boot=boot, sequence=sequence):
+            again = f", number {sequence}" if sequence > 1 else ""
+            return f"drone {drone_id} announced itself (boot {boot}{again})"
+        case PeerArrived(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is alive (boot {boot})"
+        case PeerDeparted(drone_id=drone_id, boot=boot):
+            return f"drone {drone_id} is gone (boot {boot})"
+        case PeerExpelled(drone_id=drone_id):
+            return f"drone {drone_id} is no longer in the team's roster, its messages are ignored"
+        case IdClash(drone_id=drone_id, boots=boots, ours=True):
+            said = f"another agent uses our drone.id = {drone_id} (boots {', '.join(boots)})"
+            return f"{said}: change drone.id of one of them"
+        case IdClash(drone_id=drone_id, boots=boots):
+            return (
+                f"two agents use drone.id = {drone_id} (boots {', '.join(boots)}): change drone.id of one of them; "
+                f"until then no track gets this ID"
+            )
+        case AnnouncementRequested():
+            return "a teammate asked for our pose: announced again"
+        case SightingReport(observer=observer):
+            return f"drone {observer} reported sightings"
+        case MotionReport(drone_id=drone_id):
+            return f"drone {drone_id} reported its motion"
+        case RangeReport(other=other):
+            return f"our ranging radio measured the range to drone {other}"
 
 
 def describe_filed(announcement: Announcement) -> str:

@@ -343,11 +343,7 @@ class RelativeStates:
         self._sources[key] = sources
         if "size" not in sources and math.isfinite(range_by_size):
             sources.add("size")
-            missing = np.full_like(look.ray_cov[i], np.nan)
-            found = measurements.seen(row, ray[None], missing[None], sized)
-            # The ray was used already.
-            found.H[:, :2], found.R[:, :2, :2] = 0.0, np.eye(2)
-            row, _ = corrected(row, found.H, found.nu, found.R)
+            row = _corrected_by_size(row, look, i, sized)
         return row
 
     # --- what is said ---
@@ -508,6 +504,14 @@ def _ray(
         return measurements.ray_of_another(at, said.position - then.camera, direction, sigma, origin_sigma)
 
     return measured
+
+
+def _corrected_by_size(row: Beliefs, look: TeamLook, i: int, sized: SizedRange) -> Beliefs:
+    """A row whose ray was used already, corrected by the size of look.keys[i] alone."""
+    missing = np.full_like(look.ray_cov[i], np.nan)
+    found = measurements.seen(row, look.ray[i][None], missing[None], sized)
+    found.H[:, :2], found.R[:, :2, :2] = 0.0, np.eye(2)
+    return corrected(row, found.H, found.nu, found.R)[0]
 
 
 def _along(said: _SaidPlace, look: TeamLook, i: int, drift_speed: float) -> tuple[float, float] | None:
