@@ -67,7 +67,7 @@ def test_a_teammate_without_a_recording_is_where_it_said_it_was(flight, tight, c
 def test_what_is_printed_is_what_a_config_takes(flight, tight, capsys):
     assert main(["calibrate", "size", str(flight)]) == 0
     text = capsys.readouterr().out
-    assert "the padding is not known" in text
+    assert "the padding is unknown" in text
     table = tomllib.loads(text[text.index("[detector.box_width]") :])
     config = DroneConfig.model_validate(
         {

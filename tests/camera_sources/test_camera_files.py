@@ -145,7 +145,7 @@ def test_a_file_that_holds_no_video_is_refused_with_the_reason(tmp_path: Path) -
         ("none.mp4", "not found"),
         ("half.mp4", "cut off"),
         ("empty.mp4", "0 bytes"),
-        ("text.mp4", "no video"),
+        ("text.mp4", "not a readable video"),
         ("folder.mp4", "images://"),
     ):
         with pytest.raises(SourceError, match=sentence):

@@ -51,7 +51,7 @@ def test_who_holds_says_why_and_knows_no_error():
     drone = told(replace(FLIES, ok=False, text="drone 1 is not in view", counters=FLIES.counters[:-1]))
     assert drone["formation"]["holds"]
     assert drone["formation"]["error_m"] is None
-    assert drone["troubles"] == ["holds: drone 1 is not seen"]
+    assert drone["troubles"] == ["holds: drone 1 is not in view"]
 
 
 @pytest.mark.parametrize("link", [replace(FLIES, name="camera"), replace(FLIES, counters=())])
