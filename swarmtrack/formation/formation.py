@@ -78,7 +78,7 @@ MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)
 
 HOLD_TEXTS = {
     Why.OWN_POSE: "own position is old",
-    Why.VAGUE: f"own position is uncertain by more than {VAGUEST_OWN_PLACE_M:g} m",
+    Why.VAGUE: f"own position error exceeds {VAGUEST_OWN_PLACE_M:g} m",
     Why.GYRO: "gyro is silent",
     Why.CAMERA: "camera is silent or stuck",
     Why.CLASH: "another process uses this drone's ID",

@@ -66,15 +66,7 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
                 "accept_timeout": HANDSHAKE_MS,
             },
             "shared_memory": {"enabled": False},  # nothing to gain at our sizes, and it hides lost links
-            "link": {
-                "tx": {
-                    "lease": round(network.lease_s * 1000),
-                    "keep_alive": DATAGRAM_KEEP_ALIVES_PER_LEASE
-                    if network.credentials
-                    else KEEP_ALIVES_PER_LEASE,
-                },
-                "rx": {"max_message_size": MAX_ZENOH_BYTES},
-            },
+            "link": _link(network),
         },
     }
     if network.credentials is not None:
@@ -82,6 +74,15 @@ def zenoh_config(network: NetworkSettings, listen: tuple[str, ...], connect: tup
         config["transport"]["link"] |= {"protocols": list(ENCRYPTED), "tls": _tls(network.credentials)}
         config["access_control"] = access_control(network.credentials.roster)
     return zenoh.Config.from_json5(json.dumps(config))
+
+
+def _link(network: NetworkSettings) -> dict[str, Any]:
+    """Leases, keep-alives and the size limit of one link."""
+    keep_alives = DATAGRAM_KEEP_ALIVES_PER_LEASE if network.credentials else KEEP_ALIVES_PER_LEASE
+    return {
+        "tx": {"lease": round(network.lease_s * 1000), "keep_alive": keep_alives},
+        "rx": {"max_message_size": MAX_ZENOH_BYTES},
+    }
 
 
 def _tls(credentials: Credentials) -> dict[str, Any]:
