@@ -14,6 +14,7 @@ import math
 import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -286,9 +287,10 @@ def pool(processes: int | None) -> Iterator[Callable[..., Iterator[Any]]]:
     if (processes or os.cpu_count()) == 1:
         yield map
         return
-    # Spawned, not forked: the line of progress is a thread.
-    with multiprocessing.get_context("spawn").Pool(processes) as workers:
-        yield workers.imap
+    # Spawned, not forked: the line of progress is a thread. An executor, not a pool: a process that cannot load its
+    # work breaks it, where a pool would wait for ever.
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as workers:
+        yield workers.map
 
 
 # --- what summaries are made of ----------------------------------------------------------------------

@@ -126,7 +126,7 @@ class DrawnTrack(NamedTuple):
 
     @property
     def corners(self) -> Array:
-        """Of the box, (4, 2), one after the other around it."""
+        """(4, 2) px: the corners of the box in the order around it."""
         (left, top), (right, bottom) = self.box
         return np.array(((left, top), (right, top), (right, bottom), (left, bottom)))
 

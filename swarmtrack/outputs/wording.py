@@ -120,7 +120,7 @@ def _describe_peer(event: PeerEvent) -> str:
 
 
 def describe_filed(announcement: Announcement) -> str:
-    """Of an announcement that the team's file makes."""
+    """The sentence for an announcement from the team file."""
     north, east, down = announcement.position
     return (
         f"drone {announcement.drone_id} starts at [{north:.1f}, {east:.1f}, {down:.1f}] m, by the team's file"

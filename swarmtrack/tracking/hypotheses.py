@@ -97,8 +97,8 @@ def _widest_last(slack: Array, depth: float) -> list[int]:
 def tightest_prices(log_weight: Array, gain: Array) -> tuple[Array, float]:
     """Prices (h, m) with which no hypothesis is promised more than the best matching of all is worth; and its value.
 
-    Branch and bound: whoever is promised more than the best found yet is asked for its own best and its prices, which
-    also suit others that are like it.
+    Branch and bound: a hypothesis with a bound above the best matching found so far is solved for its own best and its
+    prices, which also suit hypotheses that are like it.
     """
     h, _, m = gain.shape
     price, promised, reached = np.zeros((h, m)), np.full(h, np.inf), -np.inf
@@ -115,9 +115,9 @@ def tightest_prices(log_weight: Array, gain: Array) -> tuple[Array, float]:
 
 
 def fair_prices(gain: Array) -> tuple[Array, float]:
-    """Prices (m,) ≥ 0 at which the best matching of gain (k, m) leaves nobody any slack, and its value.
+    """Prices (m,) ≥ 0 at which the best matching of gain (k, m) leaves no track any slack, and its value.
 
-    The lowest such: nobody would rather have another's detection than their own, so p_j ≥ p_i + gain_j − gain_i for the
+    The lowest such: no track prefers another's detection to its own, so p_j ≥ p_i + gain_j − gain_i for the
     i of each track, along chains of tracks that would move on. No chain is longer than there are tracks.
     """
     k, m = gain.shape

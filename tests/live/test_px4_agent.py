@@ -16,7 +16,7 @@ AFTER_S = 6.0
 
 
 def since(sky, t):
-    return [heard for heard in sky.heard if heard.t > t]
+    return [heard for heard in sky.messages if heard.t > t]
 
 
 def flies_by_hand(sky):

@@ -114,7 +114,7 @@ def test_help_of_every_command_and_action(stranger: Stranger, actions: bool) -> 
         ]
         assert "swarmtrack config check --help" in deeper
         list(pool.map(stranger.types, deeper if actions else ["swarmtrack config check --help"]))
-    assert "heard no message" in stranger.types(
+    assert "received no message" in stranger.types(
         "swarmtrack echo 'health/*' --seconds 1 --team nobody-is-here"
     )
     stranger.types("swarmtrack --version")

@@ -143,7 +143,7 @@ async def test_silence_is_an_error_that_says_what_to_check(team: str) -> None:
 
     code, lines, errors = await ended(await start_echo("tracks/*", "--team", team, "--seconds", "0.2"))
     assert (code, lines) == (0, [])  # as asked, but worth a word
-    assert "heard no message" in errors
+    assert "received no message" in errors
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def test_a_world_is_told_as_far_as_the_slowest_of_its_links():
 
 
 def test_an_imu_of_ours_cannot_be_carried_by_a_drone_that_others_fly():
-    with pytest.raises(TypeError, match="drone 1: is flown by others"):
+    with pytest.raises(TypeError, match="drone 1: is flown by another simulator"):
         World(1, {1: followed((1.0, turned(0.0)))}).flown(1)
 
 

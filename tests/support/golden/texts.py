@@ -16,7 +16,8 @@ from unittest import mock
 
 from support.golden import FOLDER, Moved, Part
 from support.golden.flights import RECORDINGS
-from support.places import PYTHONPATH
+from support.places import PYTHONPATH, ROOT
+from swarmtrack import arguments
 from swarmtrack.agents import bench, main, vehicle
 from swarmtrack.messages import TrackList
 from swarmtrack.recording.reader import recordings_below
@@ -106,6 +107,10 @@ def help_texts() -> dict[str, str]:
 def _printed(program: Callable[[], object]) -> str:
     with (
         mock.patch.dict(os.environ, {"COLUMNS": HELP_COLUMNS}),
+        # As in a checkout, also where swarmtrack is installed: help names files as they are reached from here.
+        mock.patch.object(arguments, "__file__", str(ROOT / "swarmtrack" / "arguments.py")),
+        mock.patch.object(vehicle, "__file__", str(ROOT / "swarmtrack" / "agents" / "vehicle.py")),
+        contextlib.chdir(ROOT),
         contextlib.redirect_stdout(io.StringIO()) as out,
         contextlib.suppress(SystemExit),
     ):
