@@ -75,7 +75,7 @@ class FormationLimits(Section):
 
 
 class TeamFormation(Section):
-    """[formation]: who leads, and every drone's slot (docs/formation.md). The same for all of a team, but for
+    """[formation]: the leader, and every drone's slot (docs/formation.md). The same for all of a team, but for
     `enabled`.
 
     Without `leader` there is no formation.
