@@ -367,7 +367,7 @@ async def test_a_ground_station_flies_a_drone_which_the_others_camera_and_the_ju
             await asyncio.to_thread(fly_up, simulated.drones[1]["ground"], 1, 2.0)
             above = await scans(source, lambda taken: len(taken) == 5)
         t = simulated.world_time(time.monotonic())
-        await eventually(lambda: followed[1].newest > t)
+        await eventually(lambda: all(drone.newest > t for drone in followed.values()))
         following.cancel()
         places = {n: scenario.world.drones[n].position(t) for n in (1, 2)}
     assert places[1][2] == pytest.approx(-2.09, abs=0.4)
