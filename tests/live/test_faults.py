@@ -110,8 +110,9 @@ class OneFlight:
         return self._team
 
     def calm(self) -> None:
-        """The radio is as good as a cable again."""
-        assert self._team is not None
+        """The radio is as good as a cable again, for a team that is still in the air."""
+        if self._team is None:
+            return
         self._team.emulator.heal()
         self._team.emulator.impair(loss=0.0)
         self._team.emulator.narrow(None)
@@ -242,7 +243,7 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(team: Team,
 
 @pytest.mark.parametrize("seconds", LISTENING_S)
 async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(
-    team: Team, seconds: float
+    team: Team, seconds: float, flight: OneFlight
 ) -> None:
     """64 kbit/s carry signs of life and a few tracks; 25 Hz of tracks would take three times as much."""
     agents = team.agents
@@ -271,6 +272,7 @@ async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(
             f"this machine is too busy: on a cable without faults an agent was silent for {silence:.1f} s"
         )
     assert departures == []
+    await flight.land()  # its pace recovers slowly, which the next test would see
 
 
 async def test_a_killed_agent_is_missed_and_met_and_named_again_when_it_comes_back(team: Team) -> None:
@@ -302,7 +304,7 @@ async def test_an_agent_that_crashes_again_and_again_is_no_clone_and_keeps_its_n
     await team.until_known(team.drones, since=time.monotonic())
     ended = time.monotonic()
     for observer in (1, 3):
-        assert agents[observer].times("two agents speak", began) == []
+        assert agents[observer].times("two agents use drone.id", began) == []
         looks = team.looks_between((observer,), began, ended, lambda look: look.calls_somebody(2))
         report(
             f"drone {observer} had no name for it in", 100.0 * (1.0 - sum(looks) / len(looks)), "% of looks"
