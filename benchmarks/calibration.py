@@ -134,7 +134,6 @@ def _alone(fly: Callable[[int], Any], seed: int) -> Any:
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     """calibration.png into `args.out`, too."""
-    report.pyplot()  # before the work, not after it, should it be missing
     boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in BOARD_KINDS] + [
         ("charuco", "equidistant")
     ]
@@ -227,5 +226,5 @@ def _plot(path: Path, minutes: list[Minute]) -> None:
     report.save(figure, path, dpi=110)
 
 
-BENCH = Benchmark(NAME, _measured, _page, options=(seeds(20, quick=4),))
+BENCH = Benchmark(NAME, _measured, _page, options=(seeds(20, quick=4),), draws=True)
 add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -141,6 +141,8 @@ class Command:
 
     name: str
     options: Sequence[Option]
+    draws: bool = False
+    """Whether it ends with a plot: then matplotlib is looked for before the work, not after it."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         for one in (*COMMON, *self._all_options()):
@@ -151,6 +153,8 @@ class Command:
         for one in self._all_options():
             if one.quick is not None and getattr(args, one.key) is None:
                 setattr(args, one.key, one.quick if args.quick else one.default)
+        if self.draws:
+            report.pyplot()
         args.out.mkdir(parents=True, exist_ok=True)
         return self._measure(args)
 
@@ -177,6 +181,7 @@ class Benchmark(Command):
     page: Callable[[Any], str]
     options: Sequence[Option] = ()
     record: Callable[[Any], Result] = dict
+    draws: bool = False
 
     def _measure(self, args: argparse.Namespace) -> Result:
         found = self.measure(args)
@@ -221,6 +226,7 @@ class Flights(Command):
     options: Sequence[Option] = ()
     seeds_from: int = 1
     finish: Callable[[argparse.Namespace, dict[str, list[Any]]], None] | None = None
+    draws: bool = False
 
     def _all_options(self) -> Sequence[Option]:
         return (self.seeds, *self.options)
@@ -289,8 +295,11 @@ def pool(processes: int | None) -> Iterator[Callable[..., Iterator[Any]]]:
         return
     # Spawned, not forked: the line of progress is a thread. An executor, not a pool: a process that cannot load its
     # work breaks it, where a pool would wait for ever.
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as workers:
+    workers = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    try:
         yield workers.map
+    finally:
+        workers.shutdown(cancel_futures=True)
 
 
 # --- what summaries are made of ----------------------------------------------------------------------

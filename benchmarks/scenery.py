@@ -181,7 +181,6 @@ def _programme(args: argparse.Namespace) -> Programme:
 
 
 def _rows(args: argparse.Namespace) -> list[Row]:
-    report.pyplot()  # before the work, not after it, should it be missing
     for name in args.scenarios:
         load_scenario(name)  # now, not after an hour of others
     p = _programme(args)
@@ -231,6 +230,7 @@ def _about(result: dict[str, Any]) -> str:
 
 
 BENCH = Flights(
+    draws=True,
     name="scenery",
     title="Confirmed tracks among houses, poles and trees",
     about=_about,

@@ -311,7 +311,6 @@ def _rms(values: Array) -> float:
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     """Fly all; offset.png into `args.out`, too."""
-    report.pyplot()  # before the work, not after it, should it be missing
     parts = [(name, partial(fly, name, SECONDS)) for name in CONDITIONS]
     flights = zip(CONDITIONS, flown(NAME, parts, range(args.seeds), processes=1), strict=True)
     runs = {name: [one for of_seed in many for one in of_seed] for name, many in flights}
@@ -406,5 +405,5 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
     report.save(figure, path)
 
 
-BENCH = Benchmark(NAME, _measured, _page, options=(seeds(100, quick=4),))
+BENCH = Benchmark(NAME, _measured, _page, options=(seeds(100, quick=4),), draws=True)
 add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -72,11 +72,11 @@ from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.scan import make_scan
 
 # s that a scan may stay away beyond the history: by then a target may be anywhere.
-MAX_SILENCE = 1.0
+MAX_SCAN_SILENCE_S = 1.0
 # m: how well a drone knows its place that doubts its start or heading. For whoever hears it, that is nowhere.
 DOUBTED_M = 1000.0
 # rad: of a turn between two scans that is known no better, tracks may have taken up each other's detections.
-UNMEASURED = 0.35
+UNMEASURED_TURN_RAD = 0.35
 
 
 Output = (
@@ -93,7 +93,7 @@ Output = (
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class OnboardCamera:
     """One of a drone's cameras: its lens, how it sits, its clock, and the tracker of what it sees."""
 
@@ -104,8 +104,7 @@ class OnboardCamera:
 
     def __post_init__(self) -> None:
         mounting = self.mounting
-        clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
-        object.__setattr__(self, "clock", clock)
+        self.clock = CameraClock(mounting.time_offset_s, estimates=mounting.estimate_time_offset)
 
     @property
     def body_from_camera(self) -> Pose:
@@ -180,7 +179,7 @@ class Onboard:
                 self._settle()
             case EgoPose():
                 self._ego.append(event)
-                self._flight.see(event)
+                self._flight.add_pose(event)
                 if self.self_doubt:
                     # Where its place goes on from it is not, it seems: what is left is its autopilot's word.
                     self._ego.believe_leaps()
@@ -243,7 +242,7 @@ class Onboard:
         self._settle(now)
         if self._rig.t is None:
             return TrackList(now, now, ())
-        if now - self._rig.t > self.gyro.history_s + MAX_SILENCE:
+        if now - self._rig.t > self.gyro.history_s + MAX_SCAN_SILENCE_S:
             return TrackList(now, self._rig.t, ())
         labelled = self._labelled(self._rig.at(now, self.gyro.orientation(now)))
         return TrackList(now, self._rig.t, self._metres.at(labelled, now))
@@ -385,13 +384,13 @@ class Onboard:
     ) -> tuple[Track, ...]:
         """All tracks after a scan; on the way it corrects its camera's clock and is compared with its mounting."""
         number = detections.camera
-        if self._rig.turn_variance(number, orientation) > UNMEASURED**2:
+        if self._rig.turn_variance(number, orientation) > UNMEASURED_TURN_RAD**2:
             self._identities.turn_unmeasured()
         self.cameras[number].clock.add_scan(detections.t, scan, self.cameras[number].lens)
         self._watch_mounting(number, scan, orientation)
         self._events += self._rig.update(number, scan, orientation) or []
         is_mounted = number not in self._picture_turns.wrong
-        self._stuck.see(detections, scan.t, orientation, is_mounted=is_mounted)
+        self._stuck.add_scan(detections, scan.t, orientation, is_mounted=is_mounted)
         self.counters.scans += 1
         self.counters.detections += len(detections)
         return self._rig.tracks(orientation)

@@ -50,7 +50,6 @@ class Found:
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     """Fly; endurance.png into `args.out`, too."""
-    report.pyplot()  # now, not when half an hour of results cannot be drawn
     seconds = 60.0 * args.minutes
     window_s = min(WINDOW_S, seconds / MIN_WINDOWS)
     with report.progress(NAME, round(seconds / window_s)) as advance:
@@ -237,5 +236,6 @@ BENCH = Benchmark(
     _page,
     options=(TRACKER, amount("--minutes", 30.0, 0.5, "of flight", type=positive, metavar="M")),
     record=_record,
+    draws=True,
 )
 add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -157,7 +157,7 @@ class FlightJudge:
         record.add_sample(scan.t, clock)
         self._distances(scan, self._truth.view(scan.observer, scan.t))
         shown = self._truth.view(scan.observer, scan.exposed_t)
-        self._judge.see(scan, scan.exposed_t)
+        self._judge.add_scan(scan, scan.exposed_t)
         self._names_elsewhere(scan, shown)
         for drone_id in self.clocks:
             if drone_id != scan.observer:

@@ -38,7 +38,6 @@ TIMED_DRONES, TIMED_ERRORS_PX = (8, 16, 30), (10.0, 20.0, 40.0)
 
 def _measured(args: argparse.Namespace) -> Result:
     """Two plots into `args.out`, too."""
-    report.pyplot()  # before the work, not after it, should it be missing
     result = found(args.layouts, args.processes)
     page.plot_cells(args.out / f"{NAME}.png", result)
     page.plot_calibration(args.out / f"{NAME}_calibration.png", result)
@@ -110,5 +109,6 @@ BENCH = Benchmark(
     page.markdown,
     options=(amount("--layouts", 1000, 50, "random ones of each cell"), PROCESSES),
     record=page.as_json,
+    draws=True,
 )
 add_arguments, run = BENCH.add_arguments, BENCH.run

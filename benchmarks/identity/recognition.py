@@ -52,7 +52,7 @@ class SwarmJudge:
         self._swarm = swarm
         self._judged: dict[int, int] = {}
 
-    def see(self, scan: ObservedScan, t: float) -> Glance | None:
+    def add_scan(self, scan: ObservedScan, t: float) -> Glance | None:
         """t: of the truth that the scan is compared with [s, world time]; None: this tenth of a second is judged."""
         for drone_id, announced_t in self._swarm.announced_at.items():
             self.scorer.announced(drone_id, announced_t)
@@ -73,7 +73,7 @@ def judge(
     """Let the swarm fly, and judge it by the truth of `flown`. see: told of every glance, once it is judged."""
     judging = SwarmJudge(swarm, flown, seconds)
     for scan in swarm.fly(seconds):
-        glance = judging.see(scan, scan.t)
+        glance = judging.add_scan(scan, scan.t)
         if glance is not None and see is not None:
             see(glance)
     return Flight(judging.scorer.score(), swarm.announcements / len(flown.members))

@@ -74,13 +74,13 @@ class Trackers(Command):
 
     name: str
     options: Sequence[Option]
+    draws: bool = True
 
     def _measure(self, args: argparse.Namespace) -> dict[str, Any]:
         programme = Programme(
             trackers=tuple(args.tracker), scenes=tuple(args.scene), runs=args.runs, quick=args.quick,
             peers=args.peers, jobs=args.jobs,
         )  # fmt: skip
-        report.pyplot()  # before the work, not after it, should it be missing
         result = found(programme)
         page.write(args.out, NAME, result)
         return {"rows": result.rows}

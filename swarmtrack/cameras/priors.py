@@ -73,3 +73,8 @@ STAY_ENDS_AFTER_S, STAY_REACH_PX = 0.6, 60.0
 COMPARISONS_PER_CROSSING = 15
 # Variance: a shift is known no better; boxes have edges of whole pixels.
 SEAM_LEAST_SHIFT_PX2 = 0.1
+
+# Stuck cameras (`stuck`): two pixels or so. A camera that has turned by more shows no target at the very same pixel.
+STUCK_LEAST_TURN_RAD = 5e-3
+# Nor does one that has not turned, for so long.
+STUCK_AFTER_S = 1.0

@@ -11,14 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.cameras.priors import STUCK_AFTER_S, STUCK_LEAST_TURN_RAD
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import Detections
 from swarmtrack.motion.gyro import Orientation, rotation_between
-
-# rad: two pixels or so. A camera that has turned by more shows no target at the very same pixel.
-STUCK_TURN = 5e-3
-# s: nor does one that has not turned, for so long.
-STUCK_S = 1.0
 
 
 class _Picture(NamedTuple):
@@ -42,9 +38,11 @@ class StuckCameras:
         if before is None or not _is_same(before.detections, detections):
             return False
         turned = rotation.log(rotation_between(before.orientation, orientation).matrix)
-        return bool(np.linalg.norm(turned) > STUCK_TURN)
+        return bool(np.linalg.norm(turned) > STUCK_LEAST_TURN_RAD)
 
-    def see(self, detections: Detections, t: float, orientation: Orientation, *, is_mounted: bool) -> None:
+    def add_scan(
+        self, detections: Detections, t: float, orientation: Orientation, *, is_mounted: bool
+    ) -> None:
         """A scan exposed at t [s] that was not stuck. is_mounted: the camera is mounted as configured; a scan of one
         that is not shows nothing new."""
         before = self._pictures.get(detections.camera)
@@ -55,7 +53,7 @@ class StuckCameras:
 
     def is_live(self, camera: int, t: float) -> bool:
         """Whether a camera's picture has changed shortly before t [s]."""
-        return t - self._changed_t[camera] < STUCK_S
+        return t - self._changed_t[camera] < STUCK_AFTER_S
 
     def ages(self, now: float) -> tuple[float, ...]:
         """By camera, s since the exposure of its newest scan that showed anything new; inf where there was none."""

@@ -161,3 +161,8 @@ HEIGHT_DRIFT_STALE_S = 30.0
 HEIGHT_AGREES_M = 0.25
 # No height is measured better; and no teammate that is seen is farther, and no height more wrong.
 HEIGHT_LEAST_SIGMA_M, HEIGHT_FARTHEST_M = 0.01, 1e4
+
+# Own flight (`own_flight`): an older measurement of the range finder does not describe the ground that is below now.
+GROUND_STALE_S = 1.0
+# The latest codes; and half the span over which the velocity of a sway is taken.
+OWN_CODES_KEPT, SWAY_DIFFERENCE_S = 32, 0.05

@@ -8,16 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.formation.margins import GROUND_STALE_S, OWN_CODES_KEPT, SWAY_DIFFERENCE_S
 from swarmtrack.formation.setpoint import NO_SWAY, OwnFlight, OwnSway
 from swarmtrack.messages import AgreedMotion, Array, EgoPose
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.relative.heights import HeightSight
-
-# Of the own codes, so many are kept; and s, from whose difference the velocity of a sway is taken.
-MOST_CODES, SWAY_S = 32, 0.05
-# s: an older measurement of the range finder does not describe the ground that is below now.
-OLDEST_GROUND_S = 1.0
 
 
 class _GroundBelow(NamedTuple):
@@ -35,11 +31,11 @@ class OwnFlightRecord:
         self._ego = ego
         self._gyro = gyro
         self._body_from_camera = body_from_camera
-        self._codes: deque[AgreedMotion] = deque(maxlen=MOST_CODES)
+        self._codes: deque[AgreedMotion] = deque(maxlen=OWN_CODES_KEPT)
         self._ground: _GroundBelow | None = None
         self._heading_stepped_at = -math.inf
 
-    def see(self, pose: EgoPose) -> None:
+    def add_pose(self, pose: EgoPose) -> None:
         """A pose that `ego` has already; only its range finder's measurement counts."""
         here = self._ego.at(pose.t) if pose.ground else None
         if here is not None and pose.ground is not None:
@@ -89,13 +85,13 @@ class OwnFlightRecord:
     def _sway(self, now: float) -> OwnSway:
         for code in self._codes:
             if code.t[0] < now < code.t[-1]:
-                times = [now - SWAY_S, now, now + SWAY_S]
+                times = [now - SWAY_DIFFERENCE_S, now, now + SWAY_DIFFERENCE_S]
                 before, at, after = np.interp(times, code.t, code.displacement[:, 2]).tolist()
-                return OwnSway(at, (after - before) / (2.0 * SWAY_S))
+                return OwnSway(at, (after - before) / (2.0 * SWAY_DIFFERENCE_S))
         return NO_SWAY
 
     def _ground_below(self, now: float, down: float) -> float | None:
         """m below a drone that is at `down` [m]; None without a recent measurement."""
         ground = self._ground
-        fresh = ground is not None and 0.0 <= now - ground.t <= OLDEST_GROUND_S
+        fresh = ground is not None and 0.0 <= now - ground.t <= GROUND_STALE_S
         return float(ground.down - down) if ground is not None and fresh else None

@@ -36,14 +36,11 @@ from swarmtrack.relative.heights import HeightSight, SaidHeights
 from swarmtrack.relative.looks import NamedBox, TeamLook
 from swarmtrack.relative.parallax import FarOff
 from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.priors import STRANGER_LEAST_SPEED_M_S
 from swarmtrack.relative.range_watch import RangeNews, RangeWatch
 from swarmtrack.relative.reading import OwnMotion
 from swarmtrack.relative.states import RelativeStates
 from swarmtrack.tracking.base import Tracker
-
-# m/s per axis: no drone without a name is taken to be calmer. One that has hovered for long and then comes straight on
-# grows in the image, and no more; a filter that takes it for calm takes that for an error of its boxes.
-STRANGERS_SPEED = 1.0
 
 
 class MeasuringCamera(NamedTuple):
@@ -73,7 +70,7 @@ class Metres:
         self._tilt_var = parameters.tilt_sigma**2
         self._padding_px = parameters.box_width.padding_px
         self._teammates = RelativeStates(parameters)
-        strangers = replace(parameters, least_speed=STRANGERS_SPEED)
+        strangers = replace(parameters, least_speed=STRANGER_LEAST_SPEED_M_S)
         self._anybody = RelativeStates(strangers) if places_anybody else None
         self._far_off = FarOff()
         self._frames = Frames(drone_id, parameters)

@@ -45,8 +45,6 @@ LEAST_DRONE_SHARE = 0.25
 MOST_ROLL_RAD = math.radians(35.0)
 # A box that is nearer to the border may be cut off.
 WHOLE_BOX_BORDER_PX = 2.0
-# Of the width: a box that was turned upright by the own roll is as much less certain, for each rad.
-ROLLED_WIDTH_SIGMA = 0.3
 
 # Heights (`heights`): a teammate's reports are kept so long; reports farther from the scan than this tell nothing of
 # its height then.
@@ -83,3 +81,8 @@ PARALLAX_NEARER_SIGMAS = 2.0
 
 # Ranging radios (`range_watch`): so many in a row, over so long, are no chance.
 RANGES_IN_A_ROW, RANGES_IN_A_ROW_S = 5, 1.0
+
+# Tracks without a name (`metres`): per axis, no drone is taken to be calmer. One that has hovered for long and then
+# comes straight on grows in the image, and no more; a filter that takes it for calm takes that for an error of its
+# boxes.
+STRANGER_LEAST_SPEED_M_S = 1.0

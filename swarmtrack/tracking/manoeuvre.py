@@ -138,9 +138,6 @@ class ModeInnovations(NamedTuple):
         )
 
 
-NO_MIXTURE = ModeMixture(np.empty((0, 2, 6)), np.empty((0, 2, 6, 6)), np.empty((0, 2)))
-
-
 def joined(first: ModeMixture, second: ModeMixture) -> ModeMixture:
     return ModeMixture(*(np.concatenate(pair) for pair in zip(first, second, strict=True)))
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import operator
+import sys
+from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 
 import numpy as np
@@ -23,6 +25,7 @@ from swarmtrack.benchmarks.harness import (
     option,
     some_of,
 )
+from swarmtrack.errors import MissingExtraError
 
 
 def fly(height, seed):
@@ -72,6 +75,30 @@ def test_processes_find_what_one_finds():
     parts = [("low", partial(operator.add, 1)), ("high", partial(operator.add, 100))]
     alone, shared = (list(harness.flown("x", parts, range(3), processes=n)) for n in (1, 2))
     assert alone == shared == [[1, 2, 3], [100, 101, 102]]
+
+
+class Unloadable:
+    """Work that another process cannot load."""
+
+    def __reduce__(self):
+        return int, ("no number",)
+
+    def __call__(self, seed):
+        return seed
+
+
+def test_work_that_no_process_can_load_is_an_error_and_no_wait():
+    with pytest.raises(BrokenProcessPool):
+        list(harness.flown("x", [("all", Unloadable())], range(3), processes=2))
+
+
+def test_a_benchmark_that_draws_looks_for_matplotlib_before_it_begins(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    begun = []
+    bench = Benchmark("drawn", begun.append, str, draws=True)
+    with pytest.raises(MissingExtraError, match="a plot needs matplotlib"):
+        bench.publish(tmp_path)
+    assert not begun
 
 
 def test_with_quick_less_is_done_unless_it_is_said_how_much(tmp_path):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.formation.own_flight import OLDEST_GROUND_S, OwnFlightRecord
+from swarmtrack.formation.own_flight import GROUND_STALE_S, OwnFlightRecord
 from swarmtrack.formation.setpoint import NO_SWAY
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.messages import EgoPose
@@ -25,7 +25,7 @@ class Flying:
             t = 0.02 * k
             pose = EgoPose(t, np.array([0.0, 0.0, -3.0 - t]), np.eye(3), ground=ground if k == 0 else None)
             self.ego.append(pose)
-            self.record.see(pose)
+            self.record.add_pose(pose)
 
     def at(self, t, **stated):
         told = {"scan_ages": (0.1,), "clash": False, "doubted": False, "height_sights": ()} | stated
@@ -49,7 +49,7 @@ def test_what_others_found_is_passed_on():
 def test_the_ground_is_where_the_range_finder_found_it_for_a_second():
     flying = Flying(ground=3.2)
     assert flying.at(0.5).ground == pytest.approx(3.7, abs=1e-6)
-    assert flying.at(OLDEST_GROUND_S + 0.1).ground is None
+    assert flying.at(GROUND_STALE_S + 0.1).ground is None
     assert Flying().at(0.5).ground is None
 
 

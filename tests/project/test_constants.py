@@ -5,7 +5,7 @@ Exempt for now: `identity`, and what of `relative` serves it. A leading undersco
 
 import ast
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from pathlib import Path
 
 from support.places import ROOT
@@ -75,3 +75,14 @@ def test_no_constant_is_a_bare_word():
         if name in BARE or UNIT.sub("", name) in BARE
     }
     assert not bare
+
+
+def test_every_constant_of_a_table_is_used():
+    code = {path: path.read_text(encoding="utf-8") for path in LIBRARY.rglob("*.py")}
+    tables = [path for path in code if path.name in ("priors.py", "limits.py", "margins.py")]
+    words = Counter(re.findall(r"\b[A-Z][A-Z0-9_]+\b", "\n".join(code.values())))
+    unused = {
+        name: path.parent.name for path in tables for name in constants_of(code[path]) if words[name] < 2
+    }
+    assert len(tables) > 8
+    assert not unused

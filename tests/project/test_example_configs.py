@@ -83,3 +83,9 @@ def test_it_is_commented_and_known_to_editors(path):
     assert comments >= 0.25 * sum(bool(line.strip()) for line in rest)
     assert max(map(len, rest)) <= 130
     load_team_config(path)
+
+
+def test_without_a_registered_simulator_a_simulated_camera_is_an_error_with_its_remedy(monkeypatch, capsys):
+    monkeypatch.setattr("swarmtrack.runtime.assembly.entry_points", lambda **_: ())
+    assert main(["config", "check", str(CONFIGS / "sim.toml")]) == 2
+    assert "no simulator is registered for sim://" in capsys.readouterr().err

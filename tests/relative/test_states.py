@@ -15,8 +15,8 @@ from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.log_range import cartesian, decay
 from swarmtrack.relative.looks import TeamLook
-from swarmtrack.relative.metres import STRANGERS_SPEED
 from swarmtrack.relative.parameters import RelativeParameters
+from swarmtrack.relative.priors import STRANGER_LEAST_SPEED_M_S
 from swarmtrack.relative.reading import OwnMotion
 from swarmtrack.relative.states import RelativeStates
 
@@ -459,7 +459,9 @@ def closing_of_one_who_comes(least_speed, seed):
 
 
 def test_who_hovered_for_long_and_then_comes_straight_on_is_known_to_come_where_nobody_takes_it_to_be_calm():
-    comes, sigma = np.array([closing_of_one_who_comes(STRANGERS_SPEED, seed) for seed in range(12)]).T
+    comes, sigma = np.array(
+        [closing_of_one_who_comes(STRANGER_LEAST_SPEED_M_S, seed) for seed in range(12)]
+    ).T
     assert (comes + sigma > 1.2).all()
     assert np.median(comes + sigma) > 1.7
     calm = [sum(closing_of_one_who_comes(0.2, seed)) for seed in range(12)]

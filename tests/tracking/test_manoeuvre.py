@@ -356,7 +356,7 @@ def test_levels_manoeuvre_as_hard_as_they_say():
 
 
 def test_nobody_flows_through():
-    nobody = manoeuvre.NO_MIXTURE
+    nobody = manoeuvre.ModeMixture(np.empty((0, 2, 6)), np.empty((0, 2, 6, 6)), np.empty((0, 2)))
     assert (
         len(predict(nobody, 0.1, SWAYING, camera=CAMERA, rotation=np.eye(3), rotation_variance=1e-4).mean)
         == 0

@@ -39,12 +39,12 @@ class Part(NamedTuple):
 
 def differences(part: Part) -> list[Moved]:
     """What moved in a part, nothing where it is as it was."""
-    kept, found = part.load(), part.compute()
+    kept, found, absent = part.load(), part.compute(), part.absent()
     moved = [Moved(name, "is new: not kept yet") for name in found if name not in kept]
     moved += [
         Moved(name, "is kept, but no longer there")
         for name in kept
-        if name not in found and name not in part.absent()
+        if name not in found and name not in absent
     ]
     for name in kept.keys() & found.keys():
         moved += part.compare(name, kept[name], found[name])
