@@ -36,6 +36,7 @@ from swarmtrack.benchmarks.harness import (
 )
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import AnnouncedStart, Scenario
 from swarmtrack.lab.score.swarm_score import Glance, SwarmScore, SwarmScorer
@@ -132,15 +133,25 @@ def misplaced(scenario: Scenario, row: Row) -> Scenario:
 
 
 def fly(
-    row: Row, scenario: str, sigma_m: float, tracker: str, seed: int, *, share_hz: float | None = None
+    row: Row,
+    scenario: str,
+    sigma_m: float,
+    tracker: str,
+    seed: int,
+    *,
+    share_hz: float | None = None,
+    model: str = IdentityParameters.model,
 ) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight. share_hz: how often each says how it
-    moves, None: never."""
+    moves, None: never. model: `identity.model`."""
     flown = load_scenario(scenario, seed=seed, drones=DRONES)
     told = {d: replace(start, position_sigma_m=sigma_m) for d, start in flown.announced.items()}
     flown = misplaced(replace(flown, announced=told), row)
     mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
-    swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes, share_hz=share_hz)
+    identity = IdentityParameters(model=model)
+    swarm = VirtualSwarm(
+        flown, tracker=tracker, identity=identity, mistakes=mistakes, share_hz=share_hz
+    )
     watch = _Watch(swarm, SECONDS[scenario])
     score = recognition.judge(swarm, flown, SECONDS[scenario], watch.add_glance).score
     after = {
@@ -171,7 +182,7 @@ def _rows(args: argparse.Namespace) -> list[harness.Row]:
     return [
         harness.Row(
             f"{scenario}: {row.name}",
-            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share),
+            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share, model=args.model),
             summary,
             {"name": row.name},
             place=("scenarios", scenario, row.name),
@@ -208,6 +219,12 @@ BENCH = Flights(
         option(
             "--share", "every drone says so often how it moves (default: never)", type=positive, metavar="HZ"
         ),
+        option(
+            "--model",
+            "what names tracks: `identity.model` (default: %(default)s)",
+            choices=("matching", "joint"),
+            default=IdentityParameters.model,
+        ),
         PROCESSES,
     ),
     rows=_rows,
@@ -216,6 +233,7 @@ BENCH = Flights(
         "sigma_m": args.sigma,
         "tracker": args.tracker,
         "share_hz": args.share,
+        "model": args.model,
     },
     columns=(
         ("what is wrong", "{name}"),

@@ -68,6 +68,7 @@ from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.metres import MeasuringCamera, Metres
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews
+from swarmtrack.team.joint_identities import JointIdentities
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.scan import make_scan
 
@@ -152,7 +153,8 @@ class Onboard:
         )
         self._picture_turns = PictureTurns(self._rig.from_first)
         self._stuck = StuckCameras(len(cameras))
-        self._identities = Identities(
+        joint = identity.model == "joint" and identity.profile != "paper"
+        self._identities: Identities | JointIdentities = (JointIdentities if joint else Identities)(
             drone_id,
             cameras=[(each.lens, each.body_from_camera) for each in cameras],
             parameters=identity,

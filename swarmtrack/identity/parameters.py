@@ -11,6 +11,9 @@ class IdentityParameters:
 
     profile: str = "default"
     """`paper`: Algorithm 1 as printed, in one shot. `default`: the posterior, which includes "unknown"."""
+    model: str = "matching"
+    """What names tracks in the default profile. `matching`: each scan is matched anew, and rules join it with motion.
+    `joint`: one posterior of names, headings, starts and frames, in trial (docs/joint.md)."""
     probability: float = 0.95
     """An ID is stated only above this probability."""
     scans: int = 3
@@ -29,6 +32,8 @@ class IdentityParameters:
     def __post_init__(self) -> None:
         if self.profile not in ("default", "paper"):
             raise ValueError(f"identity.profile: found {self.profile!r}, expected one of default, paper")
+        if self.model not in ("matching", "joint"):
+            raise ValueError(f"identity.model: found {self.model!r}, expected one of matching, joint")
         if not 0.5 <= self.probability < 1.0:
             raise ValueError(
                 f"identity.probability: found {self.probability!r}, expected 0.5 or more, below 1"

@@ -24,7 +24,7 @@ LAYERS: list[set[str]] = [
         "mavlink_dialect",
     },
     {"geometry"},
-    {"motion", "tracking", "identity", "relative", "formation"},
+    {"motion", "tracking", "identity", "relative", "formation", "team"},
     {"cameras"},
     {"onboard", "perceived", "follower"},
     {"wire", "security"},

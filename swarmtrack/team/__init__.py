@@ -1,0 +1,1 @@
+"""Names, headings, starts and frames as one posterior."""

@@ -1,0 +1,219 @@
+"""How likely all bearings of a track to a teammate are, by each component of the own errors.
+
+A bearing of a track along the unit vector d says that a teammate at p of its own frame, seen from the own place o, has
+
+    (I − d dᵀ) (R(θ) (p − a) + q − R(φ) (o − b)) = n,      n ~ N(0, σ²)
+
+a: where the teammate says that it started, b: where this drone started; q: where a is, from b, in the frame of the own
+rays; θ: by how much the teammate's path is turned against that frame, φ: by how much the own path is. That is linear in
+
+    z = (cos θ, sin θ, cos φ, sin φ, 1, q)
+
+so all bearings of a pair add up to one matrix M (8, 8), zᵀ M z. Given a component of the own errors, q has a Gaussian
+prior N(μ, Σ) and is integrated out exactly: what is left is yᵀ S y with y = (cos θ, sin θ, cos φ, sin φ, 1, μ). Two
+angles remain, both near a centre: ε, by how much the own heading differs from the component's, and δ, the teammate's
+own heading error. y is linear in them nearby, and they are integrated out as well.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.team.own_errors import OwnErrors, Path
+from swarmtrack.team.priors import (
+    P_DOUBTING_HEADING_OFF,
+    DOUBTING_START_OFF,
+    P_TEAMMATE_HEADING_OFF,
+    START_OFF_VERTICAL,
+    TEAMMATE_HEADING_CELL_RAD,
+    TEAMMATE_HEADING_CELL_SIGMA_RAD,
+    TEAMMATE_HEADING_SIGMA_RAD,
+    TEAMMATE_START_OFF,
+)
+
+LEVEL = 5
+"""Of z: the first of q."""
+_HORIZONTAL = np.diag([1.0, 1.0, START_OFF_VERTICAL**2])
+
+
+def design(place: Array, own_way: Array) -> Array:
+    """(n, 3, 8): the teammate less the own camera, in the axes of the rays, is this times z.
+
+    place (n, 3) m: of teammates, from where they say they started; own_way (3,) m: of the camera, from the own start.
+    """
+    G = np.zeros((len(place), 3, 8))
+    G[:, 0, 0], G[:, 0, 1] = place[:, 0], -place[:, 1]
+    G[:, 1, 0], G[:, 1, 1] = place[:, 1], place[:, 0]
+    G[:, 0, 2], G[:, 0, 3] = -own_way[0], own_way[1]
+    G[:, 1, 2], G[:, 1, 3] = -own_way[1], -own_way[0]
+    G[:, 2, 4] = place[:, 2] - own_way[2]
+    G[:, [0, 1, 2], [5, 6, 7]] = 1.0
+    return G
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TeammatePrior:
+    """Of one teammate, by each component of the own errors.
+
+    y (k, 8, 3): y at the centre, and its derivatives by ε and δ; far (c, 8, 2): the same with a heading of its own that
+    is anywhere, in the first component only, and its derivative by δ.
+    """
+
+    y: Array
+    far: Array
+
+    @classmethod
+    def of(cls, drone_id: int, errors: OwnErrors) -> TeammatePrior:
+        apart = errors.stands_at(drone_id) - errors.stands_at(errors.own) - errors.shift
+        path, psi = errors.path, errors.heading
+        theta = np.where(path == Path.TEAM_TURNED, 0.0, -psi)
+        phi = np.where(path == Path.TRUE, -psi, 0.0)
+        theta_by = np.where(path == Path.TEAM_TURNED, 0.0, -1.0)
+        phi_by = np.where(path == Path.TRUE, -1.0, 0.0)
+        y = np.zeros((len(psi), 8, 3))
+        y[:, 0, 0], y[:, 1, 0] = np.cos(theta), np.sin(theta)
+        y[:, 2, 0], y[:, 3, 0] = np.cos(phi), np.sin(phi)
+        y[:, 4, 0] = 1.0
+        c, s = np.cos(psi), np.sin(psi)
+        north = c * apart[:, 0] + s * apart[:, 1]
+        east = -s * apart[:, 0] + c * apart[:, 1]
+        y[:, 5, 0], y[:, 6, 0], y[:, 7, 0] = north, east, apart[:, 2]
+        y[:, 0, 1], y[:, 1, 1] = -np.sin(theta) * theta_by, np.cos(theta) * theta_by
+        y[:, 2, 1], y[:, 3, 1] = -np.sin(phi) * phi_by, np.cos(phi) * phi_by
+        y[:, 5, 1], y[:, 6, 1] = east, -north
+        y[:, 0, 2], y[:, 1, 2] = -np.sin(theta), np.cos(theta)
+        count = round(2.0 * math.pi / TEAMMATE_HEADING_CELL_RAD)
+        angle = np.arange(1, count) * TEAMMATE_HEADING_CELL_RAD
+        far = np.repeat(y[:1, :, [0, 2]], count - 1, axis=0)
+        far[:, 0, 0], far[:, 1, 0] = np.cos(angle), np.sin(angle)
+        far[:, 0, 1], far[:, 1, 1] = -np.sin(angle), np.cos(angle)
+        return cls(y, far)
+
+
+class Place(NamedTuple):
+    """One Gaussian of where a teammate is: log_share among those of its component; mean (3,) m, cov (3, 3) m²."""
+
+    log_share: float
+    mean: Array
+    cov: Array
+
+
+class Marginal:
+    """Matrices M (n, 8, 8) of pairs with one teammate, with q integrated out for each spread of starts.
+
+    cov (3, 3) m²: of the stated starts, the own and the teammate's; doubting: whether it says that it doubts itself.
+    """
+
+    def __init__(self, M: Array, cov: Array, spreads: list[float], *, doubting: bool) -> None:
+        off, p_far = (
+            (DOUBTING_START_OFF, P_DOUBTING_HEADING_OFF)
+            if doubting
+            else (TEAMMATE_START_OFF, P_TEAMMATE_HEADING_OFF)
+        )
+        p_right = 1.0 - sum(p for p, _ in off) - p_far
+        self._log_shares = [math.log(p_right), *(math.log(p) for p, _ in off)]
+        self._log_far = math.log(p_far)
+        Sigma = np.array(
+            [cov + (spread**2 + m**2) * _HORIZONTAL for m in (0.0, *(m for _, m in off)) for spread in spreads]
+        )
+        P = np.linalg.inv(Sigma)
+        A = M[:, None, LEVEL:, LEVEL:] + P
+        A_inv = np.linalg.inv(A)
+        X = M[:, None, :LEVEL, LEVEL:] @ A_inv
+        S = np.empty((len(M), len(P), 8, 8))
+        S[..., :LEVEL, :LEVEL] = M[:, None, :LEVEL, :LEVEL] - X @ M[:, None, LEVEL:, :LEVEL]
+        S[..., :LEVEL, LEVEL:] = X @ P
+        S[..., LEVEL:, :LEVEL] = S[..., :LEVEL, LEVEL:].swapaxes(-1, -2)
+        S[..., LEVEL:, LEVEL:] = P - P @ A_inv @ P
+        self._P = P
+        self._S = S
+        self._log_volume = 0.5 * (np.linalg.slogdet(P)[1] - np.linalg.slogdet(A)[1])
+        self._classes = len(spreads)
+
+    def log_evidence(
+        self, prior: TeammatePrior, errors: OwnErrors, used: NDArray[np.intp], heading_sigma: float
+    ) -> Array:
+        """(n, len(used)) of the components used, without the bearings' normalisers. heading_sigma [rad]: of the own
+        heading in the first component."""
+        found = np.empty((len(self._S), len(used)))
+        spread = errors.spread[used]
+        sigma = np.where(used == 0, heading_sigma, errors.sigma[used])
+        for s in np.unique(spread):
+            here = np.flatnonzero(spread == s)
+            y, sigma_here = prior.y[used[here]], sigma[here]
+            each = [
+                self._of(c * self._classes + int(s), y, sigma_here) + log_share
+                for c, log_share in enumerate(self._log_shares)
+            ]
+            found[:, here] = np.logaddexp.reduce(each, axis=0)
+        first = np.flatnonzero(used == 0)
+        if first.size:
+            far = self._of_far(prior.far)
+            found[:, first[0]] = np.logaddexp(found[:, first[0]], far)
+        return found
+
+    def _of(self, column: int, y: Array, sigma: Array) -> Array:
+        S = self._S[:, column]
+        k = len(y)
+        flat = y.transpose(1, 0, 2).reshape(8, 3 * k)
+        SY = (S @ flat).reshape(len(S), 8, k, 3)
+        by = y.transpose(1, 0, 2)
+        g00 = np.einsum("ak,nak->nk", by[:, :, 0], SY[..., 0])
+        g01 = np.einsum("ak,nak->nk", by[:, :, 1], SY[..., 0])
+        g02 = np.einsum("ak,nak->nk", by[:, :, 2], SY[..., 0])
+        g11 = np.einsum("ak,nak->nk", by[:, :, 1], SY[..., 1]) * sigma**2 + 1.0
+        g12 = np.einsum("ak,nak->nk", by[:, :, 2], SY[..., 1]) * sigma * TEAMMATE_HEADING_SIGMA_RAD
+        g22 = np.einsum("ak,nak->nk", by[:, :, 2], SY[..., 2]) * TEAMMATE_HEADING_SIGMA_RAD**2 + 1.0
+        b1, b2 = g01 * sigma, g02 * TEAMMATE_HEADING_SIGMA_RAD
+        det = g11 * g22 - g12**2
+        quad = g00 - (g22 * b1**2 - 2.0 * g12 * b1 * b2 + g11 * b2**2) / det
+        return np.asarray(-0.5 * quad - 0.5 * np.log(det) + self._log_volume[:, column, None])
+
+    def _of_far(self, far: Array) -> Array:
+        S, sigma = self._S[:, 0], TEAMMATE_HEADING_CELL_SIGMA_RAD
+        SY = np.einsum("nab,cbx->ncax", S, far)
+        g00 = np.einsum("ca,nca->nc", far[..., 0], SY[..., 0])
+        b = np.einsum("ca,nca->nc", far[..., 1], SY[..., 0]) * sigma
+        h = np.einsum("ca,nca->nc", far[..., 1], SY[..., 1]) * sigma**2 + 1.0
+        log = -0.5 * (g00 - b**2 / h) - 0.5 * np.log(h)
+        log += self._log_volume[:, :1] + self._log_far - math.log(len(far))
+        return np.asarray(np.logaddexp.reduce(log, axis=1))
+
+    def places(
+        self, M: Array, G: Array, prior: TeammatePrior, errors: OwnErrors, k: int, heading_sigma: float
+    ) -> list[Place]:
+        """Where the teammate is by one component k, with its start as stated and off. M (8, 8): of the one pair; G
+        (3, 8): `design` of where it says that it is."""
+        y, s = prior.y[k], int(errors.spread[k])
+        sigma = heading_sigma if k == 0 else float(errors.sigma[k])
+        L = np.zeros((8, 5))
+        L[:LEVEL, :2] = y[:LEVEL, 1:]
+        L[LEVEL:, 2:] = np.eye(3)
+        z0 = np.concatenate([y[:LEVEL, 0], np.zeros(3)])
+        found = []
+        for c, log_share in enumerate(self._log_shares):
+            P = self._P[c * self._classes + s]
+            to_mu = np.concatenate([-y[LEVEL:, 1:2], np.zeros((3, 1)), np.eye(3)], axis=1)
+            A = L.T @ M @ L + to_mu.T @ P @ to_mu
+            A[0, 0] += sigma**-2
+            A[1, 1] += TEAMMATE_HEADING_SIGMA_RAD**-2
+            mu = y[LEVEL:, 0]
+            x = np.linalg.solve(A, to_mu.T @ P @ mu - L.T @ M @ z0)
+            quad = z0 @ M @ z0 + mu @ P @ mu - x @ A @ x
+            log_det = np.linalg.slogdet(A)[1] - np.linalg.slogdet(P)[1]
+            to_place = G @ L
+            found.append(
+                Place(
+                    log_share - 0.5 * float(quad) - 0.5 * float(log_det),
+                    G @ (z0 + L @ x),
+                    to_place @ np.linalg.solve(A, to_place.T),
+                )
+            )
+        most = float(np.logaddexp.reduce([one.log_share for one in found]))
+        return [one._replace(log_share=one.log_share - most) for one in found]

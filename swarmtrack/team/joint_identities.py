@@ -1,0 +1,277 @@
+"""Who is who by one posterior of the whole team: the face that the onboard core knows.
+
+A track is given a name once its teammate is likely enough, keeps it while it is rather that teammate than not, and is a
+stranger once it has surely been none of them for a while. There are no other states: what speaks against a name is in
+the posterior (`posterior.py`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.identities import RECENT_S, IdentityNews
+from swarmtrack.identity.parameters import IdentityParameters
+from swarmtrack.identity.pose_requests import PoseRequests
+from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, rays_to, seen_from
+from swarmtrack.identity.teammates import Teammates
+from swarmtrack.messages import (
+    FOREIGN,
+    AgreedMotion,
+    Announcement,
+    IdentifiedTrack,
+    Membership,
+    MotionReport,
+    PeerExpelled,
+    SightingReport,
+    Track,
+    TrackStatus,
+)
+from swarmtrack.motion.ego import TeamPose
+from swarmtrack.relative.alignment import FrameTransform
+from swarmtrack.team.posterior import BearingScan, TeamPosterior
+from swarmtrack.team.priors import (
+    ASK_AFTER_S,
+    ASKED_AT_ONCE,
+    BEARING_SIGMA_RAD,
+    BOX_SPAN_M,
+    CENTRE_SIGMA_PX2,
+    FARTHEST_BOX_M,
+    FAULT_SAID_AFTER_S,
+    NEAREST_BOX_M,
+    P_ASKED,
+    P_FAULT_SAID,
+    P_NAME_KEPT,
+    P_NAME_MOST,
+    P_STRANGER,
+    SMALLEST_BOX_PX,
+)
+from swarmtrack.team.track_evidence import Bearing
+
+
+class JointIdentities:
+    """Announced poses, and the IDs that tracks have."""
+
+    def __init__(
+        self,
+        drone_id: int,
+        *,
+        cameras: Sequence[tuple[PinholeCamera, Pose]],
+        parameters: IdentityParameters,
+        start_sigma_m: float = 0.0,
+    ) -> None:
+        """As `Identities`."""
+        self.self_doubt = False
+        """Whether this drone says that its own start or heading is wrong."""
+        self._drone_id = drone_id
+        self._cameras = tuple(cameras)
+        self._parameters = parameters
+        self._teammates = Teammates(drone_id)
+        self._posterior = TeamPosterior(drone_id, cameras=len(cameras), start_sigma_m=start_sigma_m)
+        self._pose_requests = PoseRequests()
+        self._view: ObserverCamera | None = None
+        self._alive: dict[int, Track] = {}
+        self._names: dict[int, tuple[int, float]] = {}
+        """By track: drone and probability."""
+        self._strange_since: dict[int, float] = {}
+        self._nameless_since: dict[int, float] = {}
+        self._seen: dict[int, LastSeen] = {}
+        """By track with a name, its last ray."""
+        self._doubt_since: float | None = None
+
+    @property
+    def has_own_clash(self) -> bool:
+        """Whether another process uses this drone's ID."""
+        return bool(self._teammates.own_clash)
+
+    @property
+    def announced(self) -> dict[int, Announcement]:
+        """The latest announcement of every teammate."""
+        return dict(self._teammates.announced)
+
+    # --- what teammates say ---
+
+    def announce(self, announcement: Announcement) -> bool:
+        """Take in a teammate's pose. Returns False for our own ID, or for one that is not newer."""
+        if not self._teammates.is_news(announcement):
+            return False
+        self._teammates.announce(announcement)
+        self._posterior.announce(announcement)
+        self._pose_requests.answered(announcement.drone_id)
+        return True
+
+    def agree(self, motion: AgreedMotion) -> None:
+        """A teammate moves like that, as was agreed before the flight."""
+        self._posterior.agree(motion)
+
+    def on_report(self, report: SightingReport) -> None:
+        """A teammate says with what it sees where it is."""
+        mate = self._posterior.teammates.get(report.observer)
+        if mate is not None and self._teammates.is_heard(report.observer):
+            mate.report(report)
+            self._teammates.whereabouts.report(report)
+
+    def align(self, drone_id: int, frame: FrameTransform | None) -> None:
+        """Frames are part of the posterior: what another estimator makes of them is not asked."""
+
+    def on_motion(self, report: MotionReport) -> None:
+        """A teammate says how it moves."""
+        mate = self._posterior.teammates.get(report.drone_id)
+        if mate is not None and self._teammates.is_heard(report.drone_id):
+            mate.move(report)
+
+    def on_membership(self, event: Membership) -> None:
+        """Who lives. While two processes speak as one drone, no track is it."""
+        self._teammates.on_membership(event)
+        self._posterior.silenced = set(self._teammates.clashing)
+        if isinstance(event, PeerExpelled):
+            self._posterior.expel(event.drone_id)
+        gone = self._posterior.silenced | (set() if not isinstance(event, PeerExpelled) else {event.drone_id})
+        self._names = {id: name for id, name in self._names.items() if name[0] not in gone}
+
+    def overrule(self, drone_id: int, t: float) -> bool:
+        """Others see it elsewhere. Returns whether it should announce its pose again."""
+        return False
+
+    # --- what this drone sees ---
+
+    def step_heading(self, t: float) -> None:
+        """By t the autopilot's heading has stepped, and the drone has not turned: rays go on as they were."""
+
+    def lose_place(self) -> None:
+        """This drone may be elsewhere than it thinks."""
+        self._posterior.lose_place()
+
+    def turn_unmeasured(self) -> None:
+        """The camera has turned since the last scan, and nobody knows how far: each track may be another."""
+        self._posterior.turn_unmeasured()
+
+    def observe(self, tracks: Iterable[Track], observer: TeamPose, camera: int = 0) -> IdentityNews:
+        """Look at all tracks after a scan of a camera, with this drone's own pose at its exposure."""
+        t = observer.t
+        self._view = view = ObserverCamera.of(observer, *self._cameras[camera], camera)
+        self._alive = {track.id: track for track in tracks}
+        shown = [track for track in self._alive.values() if track.camera == camera]
+        self._posterior.observe(
+            _bearings(shown, view),
+            self._alive.keys(),
+            own_place=observer.position,
+            own_sigma=observer.position_sigma,
+            heading_sigma=math.sqrt(float(observer.attitude_cov[2, 2])),
+        )
+        self._name(t)
+        self._ask(t)
+        self._remember_rays(shown, view)
+        self._teammates.forget(t, {drone for drone, _ in self._names.values()})
+        self._doubt(t)
+        return IdentityNews((), (), self._pose_requests.of_this_scan())
+
+    def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
+        """The same tracks, with who they are."""
+        return tuple(self._labelled(track) for track in tracks)
+
+    def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
+        """The rays to identified drones that were detected in the scan of t, and to those that another camera shows and
+        has just detected; and how surely it is they."""
+        if self._view is None:
+            return []
+        found = []
+        for id, ray in self._seen.items():
+            p = self._names[id][1] * self._alive[id].probability
+            if self._alive[id].camera == self._view.number:
+                found += [(ray, p)] if ray.t == t else []
+            elif abs(ray.t - t) <= RECENT_S:
+                place = self._teammates.whereabouts.latest(ray.drone_id).position
+                found.append((seen_from(ray, place, self._view), p))
+        return found
+
+    def _name(self, t: float) -> None:
+        names: dict[int, tuple[int, float]] = {}
+        since: dict[int, float] = {}
+        for id, named in self._posterior.named.items():
+            if id not in self._alive:
+                continue
+            drone, p = max(named.p.items(), key=lambda item: item[1])
+            held = self._names.get(id)
+            least = P_NAME_KEPT if held is not None and held[0] == drone else self._parameters.probability
+            if p >= least:
+                names[id] = drone, min(p, P_NAME_MOST)
+            if named.p_none >= P_STRANGER:
+                since[id] = self._strange_since.get(id, t)
+        self._names, self._strange_since = names, since
+
+    def _ask(self, t: float) -> None:
+        """Ask those that a track may be which has no name for a while, where they are."""
+        nameless = [
+            id
+            for id, named in self._posterior.named.items()
+            if id in self._alive and id not in self._names and named.p_none < P_STRANGER
+        ]
+        self._nameless_since = {id: self._nameless_since.get(id, t) for id in nameless}
+        for id, since in self._nameless_since.items():
+            if t - since <= ASK_AFTER_S:
+                continue
+            p = self._posterior.named[id].p
+            for drone in sorted(p, key=lambda drone: p[drone])[-ASKED_AT_ONCE:]:
+                if p[drone] > P_ASKED:
+                    self._pose_requests.ask_again(self._teammates.whereabouts.latest(drone), t)
+
+    def _remember_rays(self, shown: Sequence[Track], view: ObserverCamera) -> None:
+        detected = [track for track in shown if track.coasting_since is None and track.id in self._names]
+        rays = rays_to([(self._names[track.id][0], track) for track in detected], view)
+        self._seen |= {track.id: ray for track, ray in zip(detected, rays, strict=True)}
+        self._seen = {
+            id: ray
+            for id, ray in self._seen.items()
+            if id in self._names and self._names[id][0] == ray.drone_id
+        }
+
+    def _doubt(self, t: float) -> None:
+        if self._posterior.p_fault <= P_FAULT_SAID:
+            self._doubt_since = None
+        elif self._doubt_since is None:
+            self._doubt_since = t
+        self.self_doubt = self._doubt_since is not None and t - self._doubt_since > FAULT_SAID_AFTER_S
+
+    def _labelled(self, track: Track) -> IdentifiedTrack:
+        held = self._names.get(track.id)
+        if held is not None and track.status is not TrackStatus.TENTATIVE:
+            probability = held[1] * track.probability
+            if probability > 0.5:
+                return IdentifiedTrack(track, held[0], probability)
+        elif self._is_foreign(track):
+            return IdentifiedTrack(track, FOREIGN, self._posterior.named[track.id].p_none)
+        return IdentifiedTrack(track, None, 0.0)
+
+    def _is_foreign(self, track: Track) -> bool:
+        since = self._strange_since.get(track.id)
+        known = bool(self._teammates.announced) and not self._teammates.unlocated and not self.self_doubt
+        return known and since is not None and track.t - since >= self._parameters.foreign_s
+
+
+def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
+    """The tracks that were detected, as bearings."""
+    t = view.observer.t
+    detected = [
+        track for track in shown if track.coasting_since is None and track.status is TrackStatus.CONFIRMED
+    ]
+    missed = {track.id: track.coasting_since for track in shown if track.coasting_since is not None}
+    if not detected:
+        return BearingScan(t, view.number, view.team_from_camera.position, {}, {}, missed)
+    pixel = np.array([track.mean[::2] for track in detected])
+    focal = view.camera.per_radian(pixel)[..., 0]
+    ray = view.rays(pixel)
+    own = np.array([track.cov[0, 0] + track.cov[2, 2] for track in detected]) / 2.0
+    variance = (own + CENTRE_SIGMA_PX2) / focal**2 + BEARING_SIGMA_RAD**2
+    side = np.array([max(float(np.nan_to_num(track.size).max()), SMALLEST_BOX_PX) for track in detected])
+    distance = np.clip(BOX_SPAN_M * focal / side, NEAREST_BOX_M, FARTHEST_BOX_M)
+    camera = view.team_from_camera.position.copy()
+    bearings = {
+        track.id: Bearing(t, camera, ray[i], float(variance[i]), float(distance[i]))
+        for i, track in enumerate(detected)
+    }
+    return BearingScan(t, view.number, camera, bearings, dict(zip(bearings, pixel, strict=True)), missed)

@@ -1,0 +1,201 @@
+"""What may be wrong with this drone, and with the pads of its team: the components of the posterior.
+
+A component states the own heading's error, whether the own path is turned with it, how far the own start is off, and
+who stands on whose pad. Within it the heading is Gaussian around the component's, and starts are Gaussian around theirs.
+Single faults are worked out finely, two at once coarsely. In a component nobody's track is tied to anybody yet.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.team.priors import (
+    COUPLED_HEADING_CELL_RAD,
+    COUPLED_HEADING_SIGMA_RAD,
+    COUPLED_START_RING_M,
+    HEADING_CELL_RAD,
+    HEADING_CELL_SIGMA_RAD,
+    P_HEADING_OFF,
+    P_PADS_PERMUTED,
+    P_PATH_TRUE,
+    P_PATH_TURNED,
+    P_START_OFF,
+    P_TEAM_TURNED,
+    PADS_SWAPPED_WITH,
+    START_RING_DIRECTIONS,
+    START_RING_SIGMA,
+    START_RINGS_M,
+)
+
+Permutation = tuple[tuple[int, int], ...]
+"""Who stands on whose pad, by drone; empty: each on its own."""
+
+
+class Path(enum.IntEnum):
+    """What a heading that is off turns besides the rays."""
+
+    TRUE = 0
+    """Nothing: a receiver carries the place, of everybody."""
+    TURNED = 1
+    """The own path, because the autopilot integrates along its heading."""
+    TEAM_TURNED = 2
+    """All paths of the team, as much as the own."""
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """heading [rad]: the autopilot's less the true one, and its sigma within the component; off: whether that is a
+    fault. shift (north, east) m: where the own start is stated less where it is, within ring [m] times
+    `START_RING_SIGMA`; pads: who stands on whose. prior: of its kind of fault."""
+
+    heading: float
+    sigma: float
+    path: Path
+    shift: tuple[float, float]
+    ring: float
+    pads: Permutation
+    prior: float
+
+
+def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
+    """All of them, first "as configured". own: our ID; pads (3,) m: by drone, ours too, where each says it started."""
+    headings = _headings(HEADING_CELL_RAD, HEADING_CELL_SIGMA_RAD, P_HEADING_OFF)
+    rings = [ring for radius in START_RINGS_M for ring in _ring(radius, len(START_RINGS_M))]
+    permutations = [
+        Component(0.0, HEADING_CELL_SIGMA_RAD, Path.TRUE, (0.0, 0.0), 0.0, pads, prior)
+        for pads, prior in _permutations(pads)
+    ]
+    coarse = [
+        one
+        for one in _headings(COUPLED_HEADING_CELL_RAD, COUPLED_HEADING_SIGMA_RAD, P_HEADING_OFF)
+        if one.path is not Path.TEAM_TURNED
+    ]
+    seconds = [*_ring(COUPLED_START_RING_M, 1), *permutations]
+    coupled = [
+        Component(h.heading, h.sigma, h.path, s.shift, s.ring, s.pads, h.prior * s.prior)
+        for h in coarse
+        for s in seconds
+    ]
+    coupled += [
+        Component(0.0, p.sigma, Path.TRUE, r.shift, r.ring, p.pads, p.prior * r.prior)
+        for p in permutations
+        for r in _ring(COUPLED_START_RING_M, 1)
+    ]
+    nominal = Component(0.0, HEADING_CELL_SIGMA_RAD, Path.TRUE, (0.0, 0.0), 0.0, (), 0.0)
+    return [nominal, *headings, *rings, *permutations, *coupled]
+
+
+def _headings(cell: float, sigma: float, prior: float) -> list[Component]:
+    count = round(2.0 * math.pi / cell)
+    angles = [math.remainder(k * cell, 2.0 * math.pi) for k in range(1, count)]
+    shares = {Path.TRUE: P_PATH_TRUE, Path.TURNED: P_PATH_TURNED, Path.TEAM_TURNED: P_TEAM_TURNED}
+    return [
+        Component(angle, sigma, path, (0.0, 0.0), 0.0, (), prior * share / len(angles))
+        for angle in angles
+        for path, share in shares.items()
+    ]
+
+
+def _ring(radius: float, rings: int) -> list[Component]:
+    bearings = np.arange(START_RING_DIRECTIONS) * (2.0 * math.pi / START_RING_DIRECTIONS)
+    prior = P_START_OFF / rings / START_RING_DIRECTIONS
+    return [
+        Component(
+            0.0,
+            HEADING_CELL_SIGMA_RAD,
+            Path.TRUE,
+            (radius * math.cos(b), radius * math.sin(b)),
+            radius,
+            (),
+            prior,
+        )
+        for b in bearings.tolist()
+    ]
+
+
+def _permutations(pads: Mapping[int, Array]) -> list[tuple[Permutation, float]]:
+    """With their priors: two drones on each other's pads, or everybody on the next one's, in the order of IDs."""
+    ids = sorted(pads)
+    near = {
+        i: sorted((j for j in ids if j != i), key=lambda j, i=i: float(np.linalg.norm(pads[i] - pads[j])))
+        for i in ids
+    }
+    found: list[Permutation] = [
+        ((i, j), (j, i))
+        for i, j in combinations(ids, 2)
+        if j in near[i][:PADS_SWAPPED_WITH] or i in near[j][:PADS_SWAPPED_WITH]
+    ]
+    if len(ids) > 2:
+        found += [tuple(zip(ids, ids[1:] + ids[:1], strict=True)), tuple(zip(ids, ids[-1:] + ids[:-1], strict=True))]
+    return [(one, P_PADS_PERMUTED / len(found)) for one in found]
+
+
+class OwnErrors:
+    """The components as arrays of k rows.
+
+    heading, sigma (k,) rad; shift (k, 3) m; spread (k,): index into `spreads`, m, of the starts within the component;
+    path (k,): `Path`; mine (k,): whether it is this drone that is wrong, its heading apart.
+    """
+
+    def __init__(self, own: int, pads: Mapping[int, Array]) -> None:
+        """As `components`."""
+        self.own = own
+        self.pads = dict(pads)
+        self.components = each = components(own, pads)
+        self.heading = np.array([c.heading for c in each])
+        self.sigma = np.array([c.sigma for c in each])
+        self.path = np.array([c.path for c in each])
+        self.shift = np.array([(*c.shift, 0.0) for c in each])
+        self.spreads = sorted({c.ring for c in each})
+        self.spread = np.array([self.spreads.index(c.ring) for c in each])
+        self.spreads = [START_RING_SIGMA * ring for ring in self.spreads]
+        self._prior = np.array([c.prior for c in each])
+        self.coupled = np.array([c.sigma == COUPLED_HEADING_SIGMA_RAD for c in each])
+        self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
+        # The cells that a heading which is not off may be in as well.
+        single = [c.heading != 0.0 and not c.ring and not c.pads and c.path is not Path.TEAM_TURNED for c in each]
+        self._may_be_right = np.array(single)
+
+    def __len__(self) -> int:
+        return len(self.components)
+
+    def log_prior(self, heading_sigma: float) -> tuple[Array, Array]:
+        """Log prior (k,), and the share (k,) of it in which the own heading is a fault. heading_sigma [rad]: how well
+        the autopilot says that it knows its heading."""
+        mass = math.erf(0.5 * HEADING_CELL_RAD / (heading_sigma * math.sqrt(2.0)))
+        other = np.exp(-0.5 * (self.heading / heading_sigma) ** 2) * self._may_be_right
+        # Two paths of each cell.
+        right = (1.0 - mass) * other / max(float(other.sum()), 1e-300)
+        right[0] = mass
+        right *= 1.0 - float(self._prior.sum())
+        off = np.where(self.heading != 0.0, self._prior, 0.0)
+        prior = self._prior + right
+        return np.log(np.maximum(prior, 1e-300)), off / np.maximum(prior, 1e-300)
+
+    def mapped_from(self, before: OwnErrors, value: Array) -> Array:
+        """(k,) of these components from (k,) of those before; what is new has the first one's."""
+        if before is self:
+            return value
+        at = {self._key(c): i for i, c in enumerate(before.components)}
+        rows = [at.get(self._key(c), 0) for c in self.components]
+        return np.asarray(value[rows])
+
+    @staticmethod
+    def _key(c: Component) -> tuple[float, float, Path, tuple[float, float], Permutation]:
+        return c.heading, c.sigma, c.path, c.shift, c.pads
+
+    def stands_at(self, drone_id: int) -> Array:
+        """(k, 3) m: where that drone says that whoever's pad it stands on started."""
+        return np.array([self.pads[dict(c.pads).get(drone_id, drone_id)] for c in self.components])
+
+    def permuted(self, drone_id: int) -> NDArray[np.bool_]:
+        """(k,): the components in which that drone stands on another's pad."""
+        return np.array([drone_id in dict(c.pads) for c in self.components])

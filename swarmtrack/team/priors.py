@@ -1,0 +1,125 @@
+"""Every prior, noise and rate of the team's posterior, by what it is about.
+
+Units are in the names: `_s`, `_m`, `_rad`, `_per_s`; `_SIGMA` is one standard deviation, `P_` a probability. What bears
+none is a ratio or a count. Where nothing else is said, a value was chosen by hand and held against the flights of
+`swarmtrack bench misconfigured`.
+"""
+
+import math
+
+
+# --- Own errors: one component of the mixture each, beside "as configured". ---
+
+# The own heading is off: uniform over the circle, in cells.
+P_HEADING_OFF = 0.04
+HEADING_CELL_RAD = math.radians(6.0)
+# Of a cell; and no autopilot's heading is known better than the least.
+HEADING_CELL_SIGMA_RAD, HEADING_LEAST_SIGMA_RAD = math.radians(3.0), math.radians(2.0)
+# With a heading that is off: by GPS the own path is where it is, and the rays alone are turned; without it the path is
+# turned as well; and indoors, all headings of a team may be turned as one.
+P_PATH_TRUE, P_PATH_TURNED, P_TEAM_TURNED = 0.45, 0.45, 0.10
+# The own start is off: in rings around the stated one, of so many directions each.
+P_START_OFF = 0.05
+START_RINGS_M = (0.7, 1.5, 3.0, 5.0)
+START_RING_DIRECTIONS = 8
+# Of a component of a ring, as a share of its radius.
+START_RING_SIGMA = 0.35
+# Two drones stand on each other's pads, or everybody on the next one's.
+P_PADS_PERMUTED = 0.06
+# In a large team only drones whose pads are next to each other are taken for one another.
+PADS_SWAPPED_WITH = 3
+# Two faults at once: of headings the second is looked for in coarser cells, of starts on one ring.
+COUPLED_HEADING_CELL_RAD, COUPLED_HEADING_SIGMA_RAD = math.radians(12.0), math.radians(5.0)
+COUPLED_START_RING_M = 2.5
+
+# --- A teammate's errors. ---
+
+TEAMMATE_HEADING_SIGMA_RAD = math.radians(2.0)
+# Its start is worse than it says: with such a probability, by so many m per axis; its heading is off, by any angle.
+TEAMMATE_START_OFF = ((0.10, 0.5), (0.06, 2.5))
+P_TEAMMATE_HEADING_OFF = 0.02
+TEAMMATE_HEADING_CELL_RAD, TEAMMATE_HEADING_CELL_SIGMA_RAD = math.radians(20.0), math.radians(7.0)
+# The same of a teammate that says that it doubts its own pose.
+DOUBTING_START_OFF, P_DOUBTING_HEADING_OFF = ((0.2, 0.5), (0.6, 2.5)), 0.15
+# How much likelier that makes it that its pad is another's.
+DOUBTING_PADS_RATIO = 20.0
+# A start is a place on the ground: as a share of what is off to the side.
+START_OFF_VERTICAL = 0.2
+# Of any stated start, beside what is stated.
+START_LEAST_SIGMA_M = 0.05
+
+# --- Bearings and reported places. ---
+
+# White error of a reported place against the one that is flown.
+REPORTED_PLACE_SIGMA_M = 0.12
+# How much farther off a place is that is carried on from the last report: of a drone that moves, and one that hovers.
+CARRIED_MOVING_M_S, CARRIED_HOVERING_M_S, MOVING_M_S = 0.6, 0.2, 0.3
+CARRIED_FREE_S, CARRIED_MOST_S = 0.2, 1.5
+# A path between two reports bends as the last three did; of its sagitta so much is error.
+BEND_ERROR = 0.7
+# Beside what the tracker says: of the own attitude, of a box's centre against its drone's.
+BEARING_SIGMA_RAD, CENTRE_SIGMA_PX2 = 4e-3, 1.0
+# Bearings are compared in rounds; one counts as the share of this that has passed since the last.
+ROUND_S = 0.5
+# A comparison is of bearings at most this far from the round's time.
+ROUND_NEAR_S = 0.2
+# So long is waited for a report of the same time; then for nobody.
+REPORT_WAIT_S = 1.6
+# What bearings say fades: errors that were taken to be constant wander.
+BEARINGS_LAST_S = 40.0
+# What ended tracks said of the own errors lasts longer.
+OWN_ERRORS_LAST_S = 120.0
+
+# --- Sizes. ---
+
+# The larger side of a box, m, and how it varies: between airframes, and from box to box.
+BOX_SPAN_M, BOX_SPAN_SIGMA_LN, BOX_SIZE_SIGMA_LN = 0.55, 0.22, 0.3
+BOX_SPAN_LEAST_SIGMA_LN = 0.1
+BOX_LEARNED_EVERY_S = 1.0
+# A stranger's distance is anywhere within this, ln.
+STRANGER_DISTANCE_RANGE_LN = 3.0
+NEAREST_BOX_M, FARTHEST_BOX_M = 1.0, 80.0
+SMALLEST_BOX_PX = 2.0
+
+# --- Strangers: what is not in the team stands, hovers or flies. ---
+
+STRANGER_HOVER_M_SQRT_S = 0.15
+STRANGER_FLIGHT_M_SQRT_S, STRANGER_FLIGHT_M_S2, STRANGER_FLIGHT_M_S = 0.1, 1.0, 0.7
+# How well the parallax of a stranger is known, as a share of it.
+STRANGER_PARALLAX_SIGMA = 0.4
+
+# --- Tracks and scenes. ---
+
+# "This track is that teammate" against "a stranger, and the teammate is not seen".
+P_TEAMMATE_SEEN, STRANGERS_SEEN = 0.9, 0.3
+LOG_SEEN = math.log(P_TEAMMATE_SEEN / (1.0 - P_TEAMMATE_SEEN) / STRANGERS_SEEN * 0.1 / 0.3)
+# A track goes over to another target: at any time; where it meets another; where it comes back after a miss.
+HANDOVER_PER_S, HANDOVER_MET, HANDOVER_MISSED_PER_S = 0.0005, 0.002, 0.01
+HANDOVER_MOST = 0.3
+TRACKS_MEET_PX = 25.0
+# How many segments of a track are kept beside the first, and the least time between two.
+SEGMENTS_KEPT, SEGMENT_LEAST_S = 3, 1.5
+# After such a miss a track may be another at once.
+SEGMENT_MISSED_S, SEGMENT_AFTER_MISS_S = 0.6, 0.3
+# Only a track that was named so lately is believed about the own errors when it ends.
+BELIEVED_ENDED_S = 4.0
+P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
+# Log ratios of pairs beyond which nothing changes.
+LOG_RATIO_LEAST, LOG_RATIO_MOST = -60.0, 80.0
+
+# --- Read-outs. ---
+
+# A name is kept down to this.
+P_NAME_KEPT = 0.8
+P_NAME_MOST = 0.9999
+# A fault of the own is said from this on, once it has lasted.
+P_FAULT_SAID, FAULT_SAID_AFTER_S = 0.75, 0.5
+P_STRANGER = 0.95
+# A track that has no name for so long lets so many drones be asked for their pose, that are as likely as that.
+ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
+
+# --- Which components are worked out. ---
+
+# A component that is less likely sleeps; a share of the sleepers is looked at in each round.
+LOG_SLEEPS = -14.0
+SLEEPERS_EVERY_ROUNDS = 6

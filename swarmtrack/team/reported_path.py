@@ -1,0 +1,90 @@
+"""Where a teammate says that it was, at any time between its reports and shortly after.
+
+Between two reports it is on the parabola through the last three; its place is vaguer there as far as the parabola
+bends, because the bend is a guess.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.messages import Array
+from swarmtrack.team.priors import (
+    BEND_ERROR,
+    CARRIED_FREE_S,
+    CARRIED_HOVERING_M_S,
+    CARRIED_MOST_S,
+    CARRIED_MOVING_M_S,
+    MOVING_M_S,
+    REPORTED_PLACE_SIGMA_M,
+)
+
+# Reports kept: a few seconds of the quickest sender.
+REPORTS_KEPT = 40
+# s between two reports that a curve may go through.
+_CURVE_LEAST_S, _CURVE_MOST_S = 0.3, 2.5
+
+
+class Report(NamedTuple):
+    """A place (3,) m in the teammate's own frame at t [s], and its velocity (3,) m/s where it is known."""
+
+    t: float
+    place: Array
+    velocity: Array | None
+
+
+class ReportedPath:
+    """Grows by every report, in the order in which they were made."""
+
+    def __init__(self) -> None:
+        self._reports: deque[Report] = deque(maxlen=REPORTS_KEPT)
+
+    def __bool__(self) -> bool:
+        return bool(self._reports)
+
+    @property
+    def last(self) -> Report:
+        """The newest report; IndexError where there is none."""
+        return self._reports[-1]
+
+    def append(self, report: Report) -> None:
+        """One more; one that is not newer than the last is dropped."""
+        if not self._reports or report.t > self._reports[-1].t:
+            self._reports.append(report)
+
+    def at(self, t: float) -> tuple[Array, float]:
+        """The place (3,) m at t, and its standard deviation per axis [m]."""
+        reports = self._reports
+        k = len(reports) - 1
+        while k > 0 and reports[k].t > t:
+            k -= 1
+        here = reports[k]
+        if k + 1 < len(reports) and t >= here.t:
+            return self._between(k, t)
+        if here.velocity is None:
+            place, moves = here.place, False
+        else:
+            place = here.place + np.clip(t - here.t, -CARRIED_MOST_S, CARRIED_MOST_S) * here.velocity
+            moves = bool(np.linalg.norm(here.velocity) > MOVING_M_S)
+        rate = CARRIED_MOVING_M_S if moves else CARRIED_HOVERING_M_S
+        carried = rate * max(abs(t - here.t) - CARRIED_FREE_S, 0.0)
+        return place, math.hypot(REPORTED_PLACE_SIGMA_M, carried)
+
+    def _between(self, k: int, t: float) -> tuple[Array, float]:
+        here, there = self._reports[k], self._reports[k + 1]
+        step = max(there.t - here.t, 1e-3)
+        slope = (there.place - here.place) / step
+        bend = np.zeros(3)
+        if k > 0 and step > _CURVE_LEAST_S:
+            before = self._reports[k - 1]
+            apart = here.t - before.t
+            if _CURVE_LEAST_S < apart < _CURVE_MOST_S:
+                bend = (slope - (here.place - before.place) / apart) / (there.t - before.t)
+        on, left = min(t - here.t, step), max(there.t - t, 0.0)
+        place = here.place + on * slope - on * left * bend
+        error = BEND_ERROR * float(np.linalg.norm(bend)) * on * left
+        return place, math.hypot(REPORTED_PLACE_SIGMA_M, error)

@@ -1,0 +1,114 @@
+"""How a stranger's direction goes on, so that its next bearing can be predicted as sharply as a teammate's.
+
+Whatever is not in the team stands, hovers (a random walk) or flies (random acceleration). Each is a filter of a
+direction and its rate; across the bearing both axes are alike, so a covariance is (2, 2), of angle and rate. The filter
+pays the same white errors as the teammate that the track is compared with, at the distance at which that would be:
+otherwise every lasting error would speak for strangers.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.team.priors import (
+    STRANGER_FLIGHT_M_S,
+    STRANGER_FLIGHT_M_S2,
+    STRANGER_FLIGHT_M_SQRT_S,
+    STRANGER_HOVER_M_SQRT_S,
+    STRANGER_PARALLAX_SIGMA,
+)
+
+KINDS = 3
+"""Stands, hovers, flies."""
+_LEAST_WEIGHT = 0.05
+
+
+class StrangerFilters:
+    """Of one track, a filter for each of n distances and each kind. All arrays are (n, KINDS, …)."""
+
+    def __init__(self, n: int) -> None:
+        self._direction = np.zeros((n, KINDS, 3))
+        self._rate = np.zeros((n, KINDS, 3))
+        self._cov = np.zeros((n, KINDS, 3))
+        """Variance of the angle, of angle and rate, of the rate."""
+        self._walk = np.zeros((n, KINDS))
+        self._acceleration = np.zeros((n, KINDS))
+        self._begun = np.zeros(n, bool)
+
+    def grow(self, n: int) -> None:
+        """Room for n distances."""
+        more = StrangerFilters(n)
+        k = len(self._begun)
+        for name, value in vars(self).items():
+            vars(more)[name][:k] = value
+        vars(self).update(vars(more))
+
+    def remove(self, column: int) -> None:
+        """One distance less."""
+        for name, value in vars(self).items():
+            vars(self)[name] = np.delete(value, column, 0)
+
+    def restart(self, column: int) -> None:
+        """The filters of that distance begin again."""
+        self._begun[column] = False
+
+    def predict_and_update(
+        self,
+        columns: NDArray[np.intp],
+        bearing: Array,
+        dt: Array,
+        parallax: Array,
+        variance: Array,
+        distance: Array,
+        weight: Array,
+    ) -> Array:
+        """Log predictive densities (m, KINDS) per rad² of a bearing (3,) by the filters of m columns; it is folded in.
+
+        dt (m,) s since the last; parallax (m, 3) rad: of the own motion since then, at distance (m,) m; variance (m,)
+        rad² of the bearing, all white errors included; weight (m,): the share of a whole bearing that it counts.
+        Filters that begin return zeros.
+        """
+        new = ~self._begun[columns]
+        if new.any():
+            self._begin(columns[new], bearing, variance[new], distance[new])
+        F12 = dt[:, None]
+        rate, cov = self._rate[columns], self._cov[columns]
+        direction = self._direction[columns] + parallax[:, None] + rate * F12[..., None]
+        c00, c01, c11 = np.moveaxis(cov, -1, 0)
+        q = self._acceleration[columns] ** 2
+        p00 = c00 + 2.0 * F12 * c01 + F12**2 * c11 + q * F12**3 / 3.0 + self._walk[columns] ** 2 * F12
+        p00 = p00 + (STRANGER_PARALLAX_SIGMA**2 * np.sum(parallax**2, axis=1))[:, None]
+        p01 = c01 + F12 * c11 + q * F12**2 / 2.0
+        p11 = c11 + q * F12
+        innovation = bearing - direction
+        innovation -= bearing * (innovation @ bearing)[..., None]
+        S = p00 + variance[:, None]
+        log_density = -np.log(2.0 * math.pi * S) - 0.5 * np.sum(innovation**2, axis=-1) / S
+        damped = p00 + (variance / np.maximum(weight, _LEAST_WEIGHT))[:, None]
+        k0, k1 = p00 / damped, p01 / damped
+        updated = np.stack([p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01], axis=-1)
+        old = columns[~new]
+        self._direction[old] = (direction + k0[..., None] * innovation)[~new]
+        self._rate[old] = (rate + k1[..., None] * innovation)[~new]
+        self._cov[old] = updated[~new]
+        log_density[new] = 0.0
+        return np.asarray(log_density)
+
+    def _begin(self, new: NDArray[np.intp], bearing: Array, variance: Array, rho: Array) -> None:
+        self._begun[new] = True
+        self._direction[new] = bearing
+        self._rate[new] = 0.0
+        self._cov[new] = 0.0
+        self._cov[new, :, 0] = variance[:, None]
+        self._cov[new, :, 2] = np.stack(
+            [np.full_like(rho, 1e-12), np.full_like(rho, 1e-12), (STRANGER_FLIGHT_M_S / rho) ** 2], axis=1
+        )
+        none = np.zeros_like(rho)
+        self._walk[new] = np.stack(
+            [none, STRANGER_HOVER_M_SQRT_S / rho, STRANGER_FLIGHT_M_SQRT_S / rho], axis=1
+        )
+        self._acceleration[new] = np.stack([none, none, STRANGER_FLIGHT_M_S2 / rho], axis=1)

@@ -1,0 +1,111 @@
+"""What a teammate says of itself, and what its ended tracks said of its frame."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, SightingReport
+from swarmtrack.team.priors import BOX_SPAN_SIGMA_LN, REPORTED_PLACE_SIGMA_M
+from swarmtrack.team.reported_path import Report, ReportedPath
+from swarmtrack.team.track_evidence import fading
+
+# s: so long after the last motion report a place in a report is what tells where it is.
+_MOTION_LASTS_S = 3.0
+# s between two reports whose difference is a velocity.
+_VELOCITY_LEAST_S, _VELOCITY_MOST_S = 0.3, 2.5
+# m per axis: a drone that says that it knows its place no better doubts itself.
+_DOUBTS_M = 100.0
+
+
+@dataclass(slots=True, eq=False)
+class Teammate:
+    """column: where it stands in all arrays; start (3,) m and start_cov: its first announcement."""
+
+    drone_id: int
+    column: int
+    boot: str
+    start: Array
+    start_cov: Array
+    doubting: bool = False
+    path: ReportedPath = field(default_factory=ReportedPath)
+    log_span: float = 0.0
+    """ln of its box's larger side over `BOX_SPAN_M`, as learned; and the variance."""
+    span_variance: float = BOX_SPAN_SIGMA_LN**2
+    sized_t: float = -math.inf
+    _origin: Array | None = None
+    _motion_t: float = -math.inf
+    _agreed: AgreedMotion | None = None
+    _told: Array = field(default_factory=lambda: np.zeros((8, 8)))
+    _told_t: float = 0.0
+
+    @classmethod
+    def of(cls, announcement: Announcement, column: int) -> Teammate:
+        made = cls(
+            announcement.drone_id,
+            column,
+            announcement.boot,
+            announcement.position.copy(),
+            announcement.position_cov.copy(),
+        )
+        made.announce(announcement)
+        return made
+
+    def announce(self, announcement: Announcement) -> None:
+        """It says where it is, and perhaps that it doubts it."""
+        self.doubting = float(np.trace(announcement.position_cov)) > 3.0 * _DOUBTS_M**2
+        if not self.doubting or not self.path:
+            self.path.append(Report(announcement.t, announcement.position, None))
+
+    def report(self, report: SightingReport) -> None:
+        """It says with what it sees where it is."""
+        if report.t - self._motion_t <= _MOTION_LASTS_S:
+            return
+        velocity = None
+        if self.path:
+            last = self.path.last
+            if _VELOCITY_LEAST_S < report.t - last.t < _VELOCITY_MOST_S:
+                velocity = (report.position - last.place) / (report.t - last.t)
+        self.path.append(Report(report.t, report.position, velocity))
+
+    def move(self, report: MotionReport) -> None:
+        """It says how it moves: its displacement is counted from one place as long as its process lives."""
+        if self._origin is None:
+            place = self.start
+            if self.path:
+                last = self.path.last
+                on = 0.0 if last.velocity is None else report.t - last.t
+                place = last.place + (0.0 if last.velocity is None else on * last.velocity)
+            self._origin = place - report.displacement
+        self._motion_t = report.t
+        self.path.append(Report(report.t, self._origin + report.displacement, report.velocity))
+
+    def agree(self, motion: AgreedMotion) -> None:
+        """How it moves by what was agreed before the flight."""
+        self._agreed = motion
+
+    def at(self, t: float) -> tuple[Array, float]:
+        """Where it says that it was at t, (3,) m in its own frame, and the standard deviation per axis [m]."""
+        motion = self._agreed
+        if motion is not None and motion.t[0] <= t <= motion.t[-1]:
+            now = np.array([np.interp(t, motion.t, axis) for axis in motion.displacement.T])
+            return self.start + now - motion.displacement[0], REPORTED_PLACE_SIGMA_M
+        return self.path.at(t)
+
+    def has_said(self, t: float) -> bool:
+        """Whether nothing has to be waited for to know where it was at t."""
+        return self._agreed is not None or (bool(self.path) and self.path.last.t >= t)
+
+    def speaks(self, t: float, within: float) -> bool:
+        """Whether it has said something within so many s before t."""
+        return bool(self.path) and self.path.last.t > t - within
+
+    def told(self, t: float) -> Array:
+        """(8, 8): what its ended tracks say of its frame at t."""
+        return fading(max(t - self._told_t, 0.0)) * self._told
+
+    def keep(self, M: Array, t: float) -> None:
+        """A track of it has ended that said this of its frame."""
+        self._told, self._told_t = self.told(t) + M, t
