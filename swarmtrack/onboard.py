@@ -321,8 +321,8 @@ class Onboard:
         """Has the autopilot's heading jumped, or has it been aligned in flight? Then the team should hear of it."""
         steps = self._heading_steps.add_pose(pose)
         for step in steps:
-            self._ego.step_heading(pose.t, step)
-            self._identities.step_heading(pose.t)
+            turned = self._ego.step_heading(pose.t, step)
+            self._identities.step_heading(pose.t, turned)
             self._flight.step_heading(pose.t)
         aligned = self._ego.heading.is_aligned(pose.t)
         news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned)

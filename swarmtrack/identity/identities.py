@@ -195,8 +195,9 @@ class Identities:
 
     # --- what this drone sees ---
 
-    def step_heading(self, t: float) -> None:
-        """By t the autopilot's heading has stepped, and the drone has not turned."""
+    def step_heading(self, t: float, turned: float) -> None:
+        """By t the autopilot's heading has stepped, and the drone has not turned; turned [rad]: the axes of its rays,
+        clockwise from above."""
         self._weighing.step_heading(t)
         self._names.reconsider_strangers()
 

@@ -196,12 +196,16 @@ class EgoHistory:
         if self._first_place is not None:
             self._first_place = self._first_place + by
 
-    def step_heading(self, t: float, step: float) -> None:
+    def step_heading(self, t: float, step: float) -> float:
         """By t the estimator's heading has stepped by so much [rad], and the drone has not: where the team frame was
-        connected by a measured heading, it stays where it was. A jump that was seen here counts once."""
+        connected by a measured heading, it stays where it was. A jump that was seen here counts once. Returns by how
+        much the axes have turned in which this drone sees others [rad], clockwise from above."""
         self.heading.step(t)
-        if self.start is not None and t - self._jumped_at > YAW_COMPARED_WITHIN_S:
+        if self.start is None:
+            return step
+        if t - self._jumped_at > YAW_COMPARED_WITHIN_S:
             self._turn_along(step)
+        return 0.0
 
     def at(self, t: float) -> TeamPose | None:
         """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings."""

@@ -57,6 +57,16 @@ def design(place: Array, own_way: Array) -> Array:
     return G
 
 
+def turned_back(angle: float) -> Array:
+    """(8, 8): z in the axes of the rays as they were, of z in those that have turned by angle [rad], clockwise from
+    above."""
+    c, s = math.cos(angle), math.sin(angle)
+    to_old = np.eye(8)
+    for at in (0, 2, LEVEL):
+        to_old[at : at + 2, at : at + 2] = [[c, s], [-s, c]]
+    return to_old
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TeammatePrior:
     """Of one teammate, by each component of the own errors.

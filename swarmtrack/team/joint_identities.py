@@ -139,8 +139,11 @@ class JointIdentities:
 
     # --- what this drone sees ---
 
-    def step_heading(self, t: float) -> None:
-        """By t the autopilot's heading has stepped, and the drone has not turned: rays go on as they were."""
+    def step_heading(self, t: float, turned: float) -> None:
+        """By t the autopilot's heading has stepped, and the drone has not turned; turned [rad]: the axes of its rays,
+        clockwise from above."""
+        if turned:
+            self._posterior.turn_rays(turned)
 
     def lose_place(self) -> None:
         """This drone may be elsewhere than it thinks."""
@@ -168,7 +171,10 @@ class JointIdentities:
         self._remember_rays(shown, view)
         self._teammates.forget(t, {drone for drone, _ in self._names.values()})
         self._doubt(t)
-        return IdentityNews((), (), self._pose_requests.of_this_scan())
+        vouched = tuple(
+            id for id, track in self._alive.items() if track.status is TrackStatus.TENTATIVE and id in self._names
+        )
+        return IdentityNews(vouched, (), self._pose_requests.of_this_scan())
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
@@ -257,7 +263,7 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
     """The tracks that were detected, as bearings."""
     t = view.observer.t
     detected = [
-        track for track in shown if track.coasting_since is None and track.status is TrackStatus.CONFIRMED
+        track for track in shown if track.coasting_since is None and track.status is not TrackStatus.LOST
     ]
     missed = {track.id: track.coasting_since for track in shown if track.coasting_since is not None}
     if not detected:
@@ -271,7 +277,14 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
     distance = np.clip(BOX_SPAN_M * focal / side, NEAREST_BOX_M, FARTHEST_BOX_M)
     camera = view.team_from_camera.position.copy()
     bearings = {
-        track.id: Bearing(t, camera, ray[i], float(variance[i]), float(distance[i]))
+        track.id: Bearing(
+            t,
+            camera,
+            ray[i],
+            float(variance[i]),
+            float(distance[i]),
+            weak=track.status is TrackStatus.TENTATIVE,
+        )
         for i, track in enumerate(detected)
     }
     return BearingScan(t, view.number, camera, bearings, dict(zip(bearings, pixel, strict=True)), missed)

@@ -7,6 +7,7 @@ Single faults are worked out finely, two at once coarsely. In a component nobody
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 import math
 from collections.abc import Mapping
@@ -191,6 +192,18 @@ class OwnErrors:
     @staticmethod
     def _key(c: Component) -> tuple[float, float, Path, tuple[float, float], Permutation]:
         return c.heading, c.sigma, c.path, c.shift, c.pads
+
+    def turned(self, value: Array, angle: float) -> Array:
+        """(k,) of the components after the own heading has stepped by angle [rad]: what was of another heading."""
+        by_key = {self._key(c): i for i, c in enumerate(self.components)}
+        rows = []
+        for i, c in enumerate(self.components):
+            cell = COUPLED_HEADING_CELL_RAD if self.coupled[i] else HEADING_CELL_RAD
+            before = math.remainder(round((c.heading - angle) / cell) * cell, 2.0 * math.pi)
+            path = c.path if before else Path.TRUE
+            key = self._key(dataclasses.replace(c, heading=before, path=path))
+            rows.append(by_key.get(key, i))
+        return np.asarray(value[rows])
 
     def stands_at(self, drone_id: int) -> Array:
         """(k, 3) m: where that drone says that whoever's pad it stands on started."""

@@ -23,8 +23,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.geometry import rotation
 from swarmtrack.messages import AgreedMotion, Announcement, Array
-from swarmtrack.team.evidence import Marginal, TeammatePrior, design
+from swarmtrack.team.evidence import Marginal, TeammatePrior, design, turned_back
 from swarmtrack.team.own_errors import OwnErrors
 from swarmtrack.team.priors import (
     BELIEVED_ENDED_S,
@@ -41,6 +42,7 @@ from swarmtrack.team.priors import (
     LOG_RATIO_MOST,
     LOG_SEEN,
     LOG_SLEEPS,
+    LOG_WEAK,
     OWN_ERRORS_LAST_S,
     P_BELIEVED,
     P_FRAME_KEPT,
@@ -73,6 +75,11 @@ class BearingScan(NamedTuple):
     bearings: Mapping[int, Bearing]
     pixels: Mapping[int, Array]
     missed: Mapping[int, float]
+
+    def turned(self, rotation: Array) -> BearingScan:
+        """The same in axes that have turned: rotation (3, 3) takes directions along."""
+        turned = {id: one._replace(direction=rotation @ one.direction) for id, one in self.bearings.items()}
+        return self._replace(bearings=turned)
 
 
 class Named(NamedTuple):
@@ -137,6 +144,24 @@ class TeamPosterior:
         mate = self.teammates.get(motion.drone_id)
         if mate is not None:
             mate.agree(motion)
+
+    def turn_rays(self, angle: float) -> None:
+        """The own heading has stepped by angle [rad], clockwise from above, and the drone has not: every ray is turned
+        from now on, and what was seen before turns along."""
+        to_old, forward = turned_back(angle), rotation.from_euler(0.0, 0.0, angle)
+        for track in self._tracks.values():
+            track.turn(to_old, forward)
+            for segment in track.segments:
+                if segment.base is not None:
+                    segment.base = self._errors.turned(segment.base, angle)
+        for mate in self.teammates.values():
+            mate.turn(to_old)
+        self._whole = {id: self._errors.turned(whole, angle) for id, whole in self._whole.items()}
+        self._told = self._errors.turned(self._told, angle)
+        self._log_weight = np.zeros(len(self._errors))
+        for scans in self._scans:
+            scans.extend([scans.popleft().turned(forward) for _ in range(len(scans))])
+        self._news = True
 
     def lose_place(self) -> None:
         """This drone may be elsewhere than it thinks: all that was said of places is of another start."""
@@ -203,7 +228,10 @@ class TeamPosterior:
         self._end([id for id in self._tracks if id not in alive], t)
         self._watch(scan)
         self._compare_rounds(number, t)
-        new = [id for id in scan.bearings if id not in self._tracks]
+        for id, bearing in scan.bearings.items():
+            if id in self._tracks:
+                self._tracks[id].weak = bearing.weak
+        new = [id for id, bearing in scan.bearings.items() if id not in self._tracks and not bearing.weak]
         self._compare(scan, new)
         if self._news or t - self._judged > ROUND_S:
             self._judge(t)
@@ -216,7 +244,8 @@ class TeamPosterior:
             self._round[number] = due
             nearest = min(self._scans[number], key=lambda scan: abs(scan.t - due))
             if abs(nearest.t - due) < ROUND_NEAR_S:
-                self._compare(nearest, [id for id in nearest.bearings if id in self._tracks])
+                here = self._scans[number][-1].bearings
+                self._compare(nearest, [id for id in nearest.bearings if id in self._tracks or id in here])
 
     def _compare(self, scan: BearingScan, ids: Iterable[int]) -> None:
         """Tracks with all teammates, in one scan."""
@@ -235,6 +264,7 @@ class TeamPosterior:
             track = self._tracks.get(id)
             if track is None:
                 track = self._tracks[id] = TrackEvidence(len(self.teammates), scan.camera)
+                track.weak = scan.bearings[id].weak
             bearing = scan.bearings[id]
             track.add(bearing, columns, place, bearing.camera - self._start, sigma, log_span, variance)
         self._news = True
@@ -302,6 +332,7 @@ class TeamPosterior:
             np.array([self._tracks[id].base(s, len(self._errors), t)[used] for s in self._tracks[id].segments])
             for id in rows
         ]
+        weak = [self._tracks[id].weak for id in rows]
         ratio = np.full((len(rows), len(used), len(mates)), -np.inf)
         whole_of = [np.logaddexp.reduce(b, axis=0) for b in base]
         each: list[Array] = [np.full((len(b), len(used), len(mates)), -np.inf) for b in base]
@@ -318,7 +349,7 @@ class TeamPosterior:
                 s = len(found.M)
                 if found.known[mate.column]:
                     news = E[at : at + s] - E[0] + found.log[:, mate.column, None]
-                    news[0] += LOG_SEEN
+                    news[0] += LOG_SEEN + weak[r] * LOG_WEAK
                     news[1:] -= math.log(len(mates))
                     each[r][:, :, c] = np.minimum(news, LOG_RATIO_MOST)
                 at += s

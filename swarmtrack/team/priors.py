@@ -93,6 +93,8 @@ STRANGER_PARALLAX_SIGMA = 0.4
 # "This track is that teammate" against "a stranger, and the teammate is not seen".
 P_TEAMMATE_SEEN, STRANGERS_SEEN = 0.9, 0.3
 LOG_SEEN = math.log(P_TEAMMATE_SEEN / (1.0 - P_TEAMMATE_SEEN) / STRANGERS_SEEN * 0.1 / 0.3)
+# The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a quarter.
+LOG_WEAK = math.log(0.25 / 3.0)
 # A track goes over to another target: at any time; where it meets another; where it comes back after a miss.
 HANDOVER_PER_S, HANDOVER_MET, HANDOVER_MISSED_PER_S = 0.0005, 0.002, 0.01
 HANDOVER_MOST = 0.3

@@ -52,6 +52,11 @@ class StrangerFilters:
         for name, value in vars(self).items():
             vars(self)[name] = np.delete(value, column, 0)
 
+    def turn(self, rotation: Array) -> None:
+        """The axes of the bearings have turned: rotation (3, 3) takes directions along."""
+        self._direction = self._direction @ rotation.T
+        self._rate = self._rate @ rotation.T
+
     def restart(self, column: int) -> None:
         """The filters of that distance begin again."""
         self._begun[column] = False

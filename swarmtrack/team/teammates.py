@@ -109,3 +109,7 @@ class Teammate:
     def keep(self, M: Array, t: float) -> None:
         """A track of it has ended that said this of its frame."""
         self._told, self._told_t = self.told(t) + M, t
+
+    def turn(self, to_old: Array) -> None:
+        """The axes of the own rays have turned: to_old (8, 8) takes z back."""
+        self._told = to_old.T @ self._told @ to_old

@@ -40,13 +40,15 @@ _LEAST_WEIGHT = 0.05
 
 class Bearing(NamedTuple):
     """Of a track in one scan: t [s]; camera (3,) m, team frame; direction (3,), unit vector in the axes of the own
-    rays; variance rad²; distance [m] at which a box of `BOX_SPAN_M` looks as large."""
+    rays; variance rad²; distance [m] at which a box of `BOX_SPAN_M` looks as large; weak: of a track that is not
+    confirmed yet."""
 
     t: float
     camera: Array
     direction: Array
     variance: float
     distance: float
+    weak: bool = False
 
 
 @dataclass(slots=True)
@@ -89,6 +91,8 @@ class TrackEvidence:
     size_log: Array = field(init=False)
     strangers: StrangerFilters = field(init=False)
     begun: float = math.nan
+    weak: bool = False
+    """Whether the tracker has not confirmed it yet."""
     hazard: float = 0.0
     """The probability that it went over to another target and no segment began."""
     _at: Array = field(init=False)
@@ -139,6 +143,14 @@ class TrackEvidence:
                 segment.before = np.delete(segment.before, column, 0)
         self.strangers.remove(column)
         self.n -= 1
+
+    def turn(self, to_old: Array, rotation: Array) -> None:
+        """The axes of the own rays have turned: rotation (3, 3) takes directions along, to_old (8, 8) z back."""
+        for sums in (self.sum, *(s.before for s in self.segments if s.before is not None)):
+            M = sums[:, _M].reshape(-1, 8, 8)
+            sums[:, _M] = (to_old.T @ M @ to_old).reshape(-1, 64)
+        self.size = to_old.T @ self.size @ to_old
+        self.strangers.turn(rotation)
 
     def fade(self, t: float) -> None:
         """On to t [s], where that is later."""
