@@ -28,13 +28,15 @@ from swarmtrack.messages import Array
 from swarmtrack.team.own_errors import OwnErrors, Path
 from swarmtrack.team.priors import (
     P_DOUBTING_HEADING_OFF,
-    DOUBTING_START_OFF,
+    P_DOUBTING_START_OFF,
+    P_LOOSE_START_OFF,
     P_TEAMMATE_HEADING_OFF,
+    P_TEAMMATE_START_OFF,
+    START_OFF_SIGMA_M,
     START_OFF_VERTICAL,
     TEAMMATE_HEADING_CELL_RAD,
     TEAMMATE_HEADING_CELL_SIGMA_RAD,
     TEAMMATE_HEADING_SIGMA_RAD,
-    TEAMMATE_START_OFF,
 )
 
 LEVEL = 5
@@ -121,16 +123,14 @@ class Marginal:
     """
 
     def __init__(self, M: Array, cov: Array, spreads: list[float], *, doubting: bool) -> None:
-        off, p_far = (
-            (DOUBTING_START_OFF, P_DOUBTING_HEADING_OFF)
-            if doubting
-            else (TEAMMATE_START_OFF, P_TEAMMATE_HEADING_OFF)
-        )
-        p_right = 1.0 - sum(p for p, _ in off) - p_far
-        self._log_shares = [math.log(p_right), *(math.log(p) for p, _ in off)]
+        p_off = P_DOUBTING_START_OFF if doubting else P_TEAMMATE_START_OFF
+        p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
+        shares = [(1.0 - sum(p) - p_far, *p) for p in (p_off, P_LOOSE_START_OFF)]
+        self._log_shares = np.log(shares)
+        """(2, c): by how far starts are off, of a team whose starts are as stated, and of one whose are not."""
         self._log_far = math.log(p_far)
         Sigma = np.array(
-            [cov + (spread**2 + m**2) * _HORIZONTAL for m in (0.0, *(m for _, m in off)) for spread in spreads]
+            [cov + (spread**2 + m**2) * _HORIZONTAL for m in (0.0, *START_OFF_SIGMA_M) for spread in spreads]
         )
         P = np.linalg.inv(Sigma)
         A = M[:, None, LEVEL:, LEVEL:] + P
@@ -157,9 +157,9 @@ class Marginal:
         for s in np.unique(spread):
             here = np.flatnonzero(spread == s)
             y, sigma_here = prior.y[used[here]], sigma[here]
+            shares = self._log_shares[errors.loose[used[here]].astype(int)]
             each = [
-                self._of(c * self._classes + int(s), y, sigma_here) + log_share
-                for c, log_share in enumerate(self._log_shares)
+                self._of(c * self._classes + int(s), y, sigma_here) + share for c, share in enumerate(shares.T)
             ]
             found[:, here] = np.logaddexp.reduce(each, axis=0)
         first = np.flatnonzero(used == 0)
@@ -207,7 +207,7 @@ class Marginal:
         L[LEVEL:, 2:] = np.eye(3)
         z0 = np.concatenate([y[:LEVEL, 0], np.zeros(3)])
         found = []
-        for c, log_share in enumerate(self._log_shares):
+        for c, log_share in enumerate(self._log_shares[int(errors.loose[k])]):
             P = self._P[c * self._classes + s]
             to_mu = np.concatenate([-y[LEVEL:, 1:2], np.zeros((3, 1)), np.eye(3)], axis=1)
             A = L.T @ M @ L + to_mu.T @ P @ to_mu

@@ -29,6 +29,7 @@ from swarmtrack.team.priors import (
     P_PATH_TRUE,
     P_PATH_TURNED,
     P_START_OFF,
+    P_STARTS_LOOSE,
     P_TEAM_TURNED,
     PADS_SWAPPED_WITH,
     START_RING_DIRECTIONS,
@@ -55,7 +56,8 @@ class Path(enum.IntEnum):
 class Component:
     """heading [rad]: the autopilot's less the true one, and its sigma within the component; off: whether that is a
     fault. shift (north, east) m: where the own start is stated less where it is, within ring [m] times
-    `START_RING_SIGMA`; pads: who stands on whose. prior: of its kind of fault."""
+    `START_RING_SIGMA`; pads: who stands on whose. prior: of its kind of fault. loose: whether
+    all starts of the team are worse than stated."""
 
     heading: float
     sigma: float
@@ -64,6 +66,7 @@ class Component:
     ring: float
     pads: Permutation
     prior: float
+    loose: bool = False
 
 
 def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
@@ -90,8 +93,11 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
         for p in permutations
         for r in _ring(COUPLED_START_RING_M, 1)
     ]
+    loose = [
+        dataclasses.replace(one, prior=one.prior * P_STARTS_LOOSE / P_START_OFF, loose=True) for one in rings
+    ]
     nominal = Component(0.0, HEADING_CELL_SIGMA_RAD, Path.TRUE, (0.0, 0.0), 0.0, (), 0.0)
-    return [nominal, *headings, *rings, *permutations, *coupled]
+    return [nominal, *headings, *rings, *loose, *permutations, *coupled]
 
 
 def _headings(cell: float, sigma: float, prior: float) -> list[Component]:
@@ -160,6 +166,7 @@ class OwnErrors:
         self.spreads = [START_RING_SIGMA * ring for ring in self.spreads]
         self._prior = np.array([c.prior for c in each])
         self.coupled = np.array([c.sigma == COUPLED_HEADING_SIGMA_RAD for c in each])
+        self.loose = np.array([c.loose for c in each])
         self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
         # The cells that a heading which is not off may be in as well.
         single = [c.heading != 0.0 and not c.ring and not c.pads and c.path is not Path.TEAM_TURNED for c in each]
@@ -190,8 +197,8 @@ class OwnErrors:
         return np.asarray(value[rows])
 
     @staticmethod
-    def _key(c: Component) -> tuple[float, float, Path, tuple[float, float], Permutation]:
-        return c.heading, c.sigma, c.path, c.shift, c.pads
+    def _key(c: Component) -> tuple[float, float, Path, tuple[float, float], Permutation, bool]:
+        return c.heading, c.sigma, c.path, c.shift, c.pads, c.loose
 
     def turned(self, value: Array, angle: float) -> Array:
         """(k,) of the components after the own heading has stepped by angle [rad]: what was of another heading."""

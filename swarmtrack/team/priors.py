@@ -24,6 +24,9 @@ START_RINGS_M = (0.7, 1.5, 3.0, 5.0)
 START_RING_DIRECTIONS = 8
 # Of a component of a ring, as a share of its radius.
 START_RING_SIGMA = 0.35
+# All starts of the team were measured loosely; with the probabilities then of how far each is off, below.
+P_STARTS_LOOSE = 0.02
+P_LOOSE_START_OFF = (0.25, 0.55)
 # Two drones stand on each other's pads, or everybody on the next one's.
 P_PADS_PERMUTED = 0.06
 # In a large team only drones whose pads are next to each other are taken for one another.
@@ -35,12 +38,13 @@ COUPLED_START_RING_M = 2.5
 # --- A teammate's errors. ---
 
 TEAMMATE_HEADING_SIGMA_RAD = math.radians(2.0)
-# Its start is worse than it says: with such a probability, by so many m per axis; its heading is off, by any angle.
-TEAMMATE_START_OFF = ((0.10, 0.5), (0.06, 2.5))
+# Its start is worse than it says, by so much per axis, with such probabilities; its heading is off, by any angle.
+START_OFF_SIGMA_M = (0.5, 2.5)
+P_TEAMMATE_START_OFF = (0.10, 0.06)
 P_TEAMMATE_HEADING_OFF = 0.02
 TEAMMATE_HEADING_CELL_RAD, TEAMMATE_HEADING_CELL_SIGMA_RAD = math.radians(20.0), math.radians(7.0)
 # The same of a teammate that says that it doubts its own pose.
-DOUBTING_START_OFF, P_DOUBTING_HEADING_OFF = ((0.2, 0.5), (0.6, 2.5)), 0.15
+P_DOUBTING_START_OFF, P_DOUBTING_HEADING_OFF = (0.2, 0.6), 0.15
 # How much likelier that makes it that its pad is another's.
 DOUBTING_PADS_RATIO = 20.0
 # A start is a place on the ground: as a share of what is off to the side.
@@ -90,9 +94,10 @@ STRANGER_PARALLAX_SIGMA = 0.4
 
 # --- Tracks and scenes. ---
 
-# "This track is that teammate" against "a stranger, and the teammate is not seen".
-P_TEAMMATE_SEEN, STRANGERS_SEEN = 0.9, 0.3
-LOG_SEEN = math.log(P_TEAMMATE_SEEN / (1.0 - P_TEAMMATE_SEEN) / STRANGERS_SEEN * 0.1 / 0.3)
+# "This track is that teammate" against "a stranger, and the teammate is not seen": teammates that have a track while
+# others are seen, those that have none, and strangers in a picture.
+P_TEAMMATE_SEEN, P_TEAMMATE_MISSED, STRANGERS_SEEN = 0.9, 0.3, 0.3
+LOG_SEEN = math.log(P_TEAMMATE_SEEN / P_TEAMMATE_MISSED / STRANGERS_SEEN)
 # The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a quarter.
 LOG_WEAK = math.log(0.25 / 3.0)
 # A track goes over to another target: at any time; where it meets another; where it comes back after a miss.
