@@ -12,6 +12,7 @@ import fcntl
 import functools
 import os
 import signal
+import sys
 from collections.abc import Generator
 from typing import Any
 
@@ -31,6 +32,11 @@ settings.load_profile("patient")
 # What a script starts in its background ignores Ctrl-C, and so would every program that a test starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Where Python is told to keep no bytecode, as in containers, each worker would compile all tests, and each of the
+# hundreds of processes that they start the whole package.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 NICENESS = 10
 
