@@ -12,6 +12,7 @@ import subprocess
 import sys
 import urllib.request
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 from aiohttp import web
@@ -71,34 +72,66 @@ def simulated(port: int, scenario: str):
         yield {int(drone_id): where for drone_id, where in told["drones"].items()}
 
 
-@contextlib.contextmanager
-def flying(folder: Path, scenario: str, port: int, team: str, *, leave_out: int | None = None):
-    """Agents whose addresses were known before the simulator was started."""
+def configs_of(folder: Path, scenario: str, port: int, team: str) -> dict[int, Path]:
+    """Of agents whose addresses were known before the simulator was started."""
     loaded = load_scenario(scenario)
     sources = {
         n: Sources(f"detections://127.0.0.1:{port}/{n}", f"udpout:127.0.0.1:{port + n}")
         for n in loaded.members
     }
-    files = write_configs(folder, loaded, team=team, tracker="kalman", sources=sources, simulator="…")
-    with contextlib.ExitStack() as agents:
-        for drone_id, file in files.items():
-            if drone_id != leave_out:
-                agents.enter_context(
-                    running("swarmtrack.agents.vehicle", "--quiet", "--seconds", 60, "--config", file)
-                )
-        yield
+    return write_configs(folder, loaded, team=team, tracker="kalman", sources=sources, simulator="…")
+
+
+def flying(config: Path) -> contextlib.AbstractContextManager[subprocess.Popen[str]]:
+    return running("swarmtrack.agents.vehicle", "--quiet", "--seconds", 120, "--config", config)
+
+
+def new_team() -> str:
+    return f"judged-{secrets.token_hex(4)}"
 
 
 @pytest.fixture
 def team() -> str:
-    return f"judged-{secrets.token_hex(4)}"
+    return new_team()
 
 
-def judge(port: int, team: str, *options: object) -> tuple[int, str, str]:
+class Judgement(NamedTuple):
+    """How the command ended, and what it said."""
+
+    code: int
+    out: str
+    err: str
+
+
+def judge(port: int, team: str, *options: object) -> Judgement:
     words = (f"http://127.0.0.1:{port}", "--team", team, "--seconds", 3, *options)
     with running("swarmtrack.agents.main", "judge", *words) as process:
         out, err = process.communicate(timeout=PATIENCE)
-        return process.returncode, out, err
+        return Judgement(process.returncode, out, err)
+
+
+class Judged(NamedTuple):
+    """Three judgements on one flight: while drone 2 is missing, of both drones, and by a limit that nobody keeps."""
+
+    alone: Judgement
+    both: Judgement
+    verdict: dict[str, Any]
+    limited: Judgement
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory: pytest.TempPathFactory) -> Judged:
+    folder, port, team = tmp_path_factory.mktemp("judged"), free_ports(3), new_team()
+    _, scenario = pair(folder)
+    configs = configs_of(folder, scenario, port, team)
+    verdict = folder / "verdict.json"
+    with simulated(port, scenario), flying(configs[1]):
+        alone = judge(port, team, "--patience", 6)
+        with flying(configs[2]):
+            both = judge(port, team, "--json", verdict)
+            pair(folder, announcement_bytes=10)
+            limited = judge(port, team, "--seconds", 0.5)
+    return Judged(alone, both, json.loads(verdict.read_text(encoding="utf-8")), limited)
 
 
 def test_a_simulator_with_a_port_listens_where_the_configs_expect_it_and_says_what_it_flies(tmp_path):
@@ -137,40 +170,27 @@ def test_a_port_that_is_none_is_refused(port, capsys):
     assert f"found {port}, expected a port number" in capsys.readouterr().err
 
 
-def test_agents_that_name_each_other_right_pass_though_they_came_before_the_judge(tmp_path, team):
-    port = free_ports(3)
-    _, scenario = pair(tmp_path)
-    verdict = tmp_path / "verdict.json"
-    with simulated(port, scenario), flying(tmp_path, scenario, port, team):
-        code, out, err = judge(port, team, "--json", verdict)
+def test_agents_that_name_each_other_right_pass_though_they_came_before_the_judge(judged):
+    code, out, err = judged.both
     assert is_fair(code, out), out + err
-    report = json.loads(verdict.read_text(encoding="utf-8"))
-    assert report["passed"] is (code == 0)
-    assert report["identity"]["wrong"] in (
+    assert judged.verdict["passed"] is (code == 0)
+    assert judged.verdict["identity"]["wrong"] in (
         0.0,
         None,
     )  # None: nothing was judged, the machine let nobody speak
-    assert report["seconds"] == 3.0
-    assert [agent["id"] for agent in report["agents"]] == [1, 2]
+    assert judged.verdict["seconds"] == 3.0
+    assert [agent["id"] for agent in judged.verdict["agents"]] == [1, 2]
 
 
-def test_what_falls_short_of_the_scenarios_limits_fails(tmp_path, team):
-    port = free_ports(3)
-    _, scenario = pair(tmp_path, announcement_bytes=10)
-    with simulated(port, scenario), flying(tmp_path, scenario, port, team):
-        code, out, _ = judge(port, team)
-    assert code == 1
-    assert "announcement_bytes of 2 drones" in out
+def test_what_falls_short_of_the_scenarios_limits_fails(judged):
+    assert judged.limited.code == 1
+    assert "announcement_bytes of 2 drones" in judged.limited.out
 
 
-def test_who_is_missing_is_said(tmp_path, team):
-    port = free_ports(3)
-    _, scenario = pair(tmp_path)
-    with simulated(port, scenario), flying(tmp_path, scenario, port, team, leave_out=2):
-        code, out, err = judge(port, team, "--patience", 6)
-    assert code == 1
-    assert "drone 2 has not announced itself" in err
-    assert "FAILED" in out
+def test_who_is_missing_is_said(judged):
+    assert judged.alone.code == 1
+    assert "drone 2 has not announced itself" in judged.alone.err
+    assert "FAILED" in judged.alone.out
 
 
 def test_drones_that_a_ground_station_flies_are_not_judged_from_outside(team):
