@@ -38,6 +38,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+pytest_plugins = ("support.flown_pair",)
+
 NICENESS = 10
 
 # The beginnings of node IDs below tests/, by queue. Whole swarms: they never compete with each other.
@@ -47,6 +49,7 @@ TEAM = (
     "live/test_faults.py",
     "live/test_judge.py",
     "live/test_outside_world.py",
+    "live/test_proof.py",
     "live/test_strangers_hour.py::test_a_flight",
     "live/test_swarm_command.py",
     "project/test_docs.py::test_a_flight",

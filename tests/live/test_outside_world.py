@@ -160,7 +160,7 @@ def test_the_truth_is_recorded_as_it_was_told(flown):
 
 
 def test_the_recording_is_judged_as_the_flight_was(flown, capsys):
-    swarmtrack.main(["replay", str(flown.recording)])
+    assert swarmtrack.main(["replay", str(flown.recording)]) == flown.code
     said = capsys.readouterr()
     assert "the verdict is the recorded one" in said.out, said.out + said.err
 

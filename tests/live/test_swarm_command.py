@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import re
 import shlex
 import signal
 import subprocess
@@ -19,8 +18,9 @@ import pytest
 
 from support.browser import browser_page, needs_chromium
 from support.called import called
+from support.flown_pair import address
 from support.launcher import finish, living, pid_of, start
-from support.pair_scenario import PAIR, is_fair, is_judged, pair
+from support.pair_scenario import PAIR, is_fair, pair
 from support.patience import PATIENCE, until
 from support.places import ROOT
 
@@ -33,9 +33,6 @@ from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.swarm.configs import RadioEnds, Sources, write_configs
 from swarmtrack.lab.swarm.processes import Children
 from swarmtrack.recording.reader import recordings_below
-
-LENGTHS = ("4", "16", "64")  # s: the next one where the machine is so busy that the flight was over too soon
-
 
 # --- the parts ------------------------------------------------------------------------------------
 
@@ -117,16 +114,9 @@ def test_a_module_runs_on_a_clock_that_is_wrong(tmp_path):
 # --- a whole flight -------------------------------------------------------------------------------
 
 
-def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
-    out = tmp_path / "out.json"
-    for seconds in LENGTHS:
-        options = ("--detector", "oracle", "--seconds", seconds, "--json", str(out))
-        code, said, complained = finish(start(tmp_path, *pair(tmp_path), *options))
-        if is_judged(said):
-            break
-    assert complained == ""
-    assert is_fair(code, said), said
-    result = json.loads(out.read_text())
+def test_a_small_swarm_knows_itself_and_says_so_in_json(flown_pair):
+    assert flown_pair.complained == ""
+    result = flown_pair.verdict
     assert result["identity"]["wrong"] == 0.0
     agent_keys = {
         "id", "track_rate_hz", "imu_rate_hz", "detection_rate_hz", "latency_ms", "cpu_percent", "rss_mb",
@@ -136,7 +126,7 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
         "scenario", "drones", "seconds", "seed", "tracker", "detector", "identity", "tracking", "relative", "agents",
         "detail", "machine_busy", "others_busy", "verdict", "passed",
     ]  # fmt: skip
-    assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, float(seconds))
+    assert (result["scenario"], result["drones"], result["seconds"]) == ("pair", 2, flown_pair.seconds)
     assert (result["seed"], result["tracker"], result["detector"]) == (1, "mbm", "oracle")
     assert list(result["identity"]) == [
         "time_to_identify_s", "correct", "proved", "wrong", "wrong_max_probability", "unknown", "agreement",
@@ -152,71 +142,43 @@ def test_a_small_swarm_knows_itself_and_says_so_in_json(tmp_path):
         assert 0 < agent["announcement_bytes"] < 300
         assert agent["cpu_percent"] > 0
         assert agent["rss_mb"] > 10
-    assert result["passed"] is (code == 0)
-    assert {path.name for path in tmp_path.iterdir()} == {"out.json", "pair.toml"}
-    assert not living(tmp_path)
 
 
-class Watched(NamedTuple):
-    """A flight that could not pass, with a monitor: its folder, exit code, words, page and the page's address."""
-
-    folder: Path
-    code: int
-    said: str
-    page: bytes
-    url: str
-
-
-@pytest.fixture(scope="module")
-def watched(tmp_path_factory):
-    for seconds in LENGTHS:
-        flown = watch(tmp_path_factory.mktemp("watched"), seconds)
-        if is_judged(flown.said):
-            break
-    return flown
-
-
-def watch(folder: Path, seconds: str) -> Watched:
-    options = ("--detector", "oracle", "--seconds", seconds, "--json", str(folder / "out.json"))
-    flight = start(folder, *pair(folder, announcement_bytes=10), *options, "--monitor", "--keep")
-    lines, found = [], None
-    while found is None:
-        lines.append(flight.stdout.readline())
-        assert lines[-1], "the flight ended without naming a page"
-        found = re.search(r"http://127\.0\.0\.1:\d+/", lines[-1])
-    with urlopen(found[0], timeout=PATIENCE) as answer:
-        page = answer.read()
-    code, said, _ = finish(flight)
-    return Watched(folder, code, "".join(lines) + said, page, found[0])
-
-
-def test_a_number_that_is_not_as_expected_fails_the_flight_and_is_named(watched):
-    assert watched.code == 1
-    assert json.loads((watched.folder / "out.json").read_text())["passed"] is False
-    verdict = watched.said[watched.said.index("FAILED") :].splitlines()
+def test_a_number_that_is_not_as_expected_fails_the_flight_and_is_named(flown_pair):
+    assert flown_pair.code == 1
+    assert flown_pair.verdict["passed"] is False
+    verdict = flown_pair.said[flown_pair.said.index("FAILED") :].splitlines()
     named = [
         line for line in verdict if line.strip().startswith("announcement_bytes of ") and "at most" in line
     ]
-    assert len(named) == 1, watched.said
+    assert len(named) == 1, flown_pair.said
 
 
-def test_the_monitor_serves_the_flights_page_and_ends_with_it(watched):
-    assert b"swarmtrack" in watched.page
+def test_the_monitor_serves_the_flights_page_and_ends_with_it(flown_pair):
+    assert b"swarmtrack" in flown_pair.page
     with pytest.raises(OSError, match="refused"):
-        urlopen(watched.url, timeout=PATIENCE)
+        urlopen(flown_pair.url, timeout=PATIENCE)
+
+
+def test_kept_configs_are_those_of_real_agents_and_nothing_else_is_left(flown_pair):
+    (folder,) = flown_pair.folder.glob("swarmtrack-sim-*")
+    assert str(folder) in flown_pair.said
+    names = {path.name for path in folder.iterdir()}
+    assert {"team.toml", "drone-1.toml", "drone-2.toml", "drone-1.log", "simulator.log"} <= names
+    assert load_config(folder / "drone-2.toml").drone.id == 2
+    assert {path.name for path in flown_pair.folder.iterdir()} == {"out.json", "recording", folder.name}
+    assert not flown_pair.living
 
 
 @needs_chromium
 async def test_the_page_stays_after_the_flight_with_its_verdict_until_ctrl_c(tmp_path):
-    flight = start(tmp_path, *pair(tmp_path), "--detector", "oracle", "--seconds", "6", "--stay")
+    out = tmp_path / "out.json"
+    options = ("--detector", "oracle", "--seconds", "6", "--stay", "--json", str(out))
+    flight = start(tmp_path, *pair(tmp_path), *options)
     try:
-        url = None
-        while url is None:
-            line = await asyncio.to_thread(flight.stdout.readline)
-            assert line, "the flight ended without naming a page"
-            url = re.search(r"http://127\.0\.0\.1:\d+/", line)
+        _, url = await address(flight)
         async with browser_page() as (page, misdeeds):
-            await page.goto(url[0])
+            await page.goto(url)
             said = [await asyncio.to_thread(flight.stdout.readline)]
             while said[-1] and not said[-1].endswith("it stays until Ctrl-C\n"):
                 said.append(await asyncio.to_thread(flight.stdout.readline))
@@ -229,41 +191,63 @@ async def test_the_page_stays_after_the_flight_with_its_verdict_until_ctrl_c(tmp
             assert await page.locator(".camera").count() == 2
             flight.send_signal(signal.SIGINT)
             code, _, complained = await asyncio.to_thread(finish, flight)
-            assert (code in (0, 1, 3), complained) == (True, "")
+            assert complained == ""
+            assert is_fair(code, "".join(said[:-1])), said
+            assert json.loads(out.read_text())["passed"] is (code == 0)
             # What is over is not out of date, and still says so.
             assert await page.inner_text("#sentence") == sentence
             assert [line for line in misdeeds if "ERR_CONNECTION_REFUSED" not in line] == []
     finally:
         flight.kill()
+    assert {path.name for path in tmp_path.iterdir()} == {"out.json", "pair.toml"}
+    assert not living(tmp_path)
 
 
-def test_kept_configs_are_those_of_real_agents(watched):
-    (folder,) = watched.folder.glob("swarmtrack-sim-*")
-    assert str(folder) in watched.said
-    names = {path.name for path in folder.iterdir()}
-    assert {"team.toml", "drone-1.toml", "drone-2.toml", "drone-1.log", "simulator.log"} <= names
-    assert load_config(folder / "drone-2.toml").drone.id == 2
+class Heard(NamedTuple):
+    """A recorded flight that was listened to, then ended by Ctrl-C."""
+
+    team: str
+    told: list[str]
+    listener: subprocess.CompletedProcess[str]
+    deaf: subprocess.CompletedProcess[str]
+    """By who listens to another team."""
+    recording: Path
 
 
-def test_a_flight_says_how_to_listen_to_it_and_who_listens_elsewhere_is_told_of_it(tmp_path):
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("heard")
     team = f"test-{os.getpid()}-{time.monotonic_ns()}"
-    _, scenario = pair(tmp_path)
-    flight = start(tmp_path, scenario, "--detector", "oracle", "--seconds", "600", "--team", team)
-    told = [flight.stdout.readline() for _ in range(5)]
-    (listen,) = (line for line in told if line.startswith("listen: "))
-    (look,) = (line for line in told if line.startswith("look: "))
-    assert look.split() == ["look:", "swarmtrack", "monitor", "--team", team]
-    program, *words = shlex.split(listen.removeprefix("listen: "))
-    assert (program, team in words) == ("swarmtrack", True)
-    heard = echo(*words, "--count", "1")
-    assert heard.returncode == 0, heard.stderr
-    assert json.loads(heard.stdout)["key"].startswith(f"swarmtrack/{team}/v1/identities/")
-    deaf = echo("tracks/*", "--team", f"{team}-not", "--seconds", "4")
-    assert f"nothing of team '{team}-not' yet; found drones of " in deaf.stderr
-    assert "Found drones of " in deaf.stderr.splitlines()[-1]
-    assert team in deaf.stderr.replace(f"{team}-not", "")
-    flight.send_signal(signal.SIGINT)
-    finish(flight)
+    _, scenario = pair(folder)
+    recording = folder / "recording"
+    options = ("--detector", "oracle", "--seconds", "600", "--team", team, "--record", str(recording))
+    flight = start(folder, scenario, *options)
+    try:
+        told = [flight.stdout.readline() for _ in range(5)]
+        (listen,) = (line for line in told if line.startswith("listen: "))
+        program, *words = shlex.split(listen.removeprefix("listen: "))
+        assert (program, team in words) == ("swarmtrack", True)
+        listener = echo(*words, "--count", "1")
+        deaf = echo("tracks/*", "--team", f"{team}-not", "--seconds", "4")
+        until(
+            lambda: any("tracks" in m.topic for m in messages_below(recording / "swarm")),
+            "the swarm is heard",
+        )
+    finally:
+        flight.send_signal(signal.SIGINT)
+        finish(flight)
+    return Heard(team, told, listener, deaf, recording)
+
+
+def test_a_flight_says_how_to_listen_to_it_and_who_listens_elsewhere_is_told_of_it(heard):
+    (look,) = (line for line in heard.told if line.startswith("look: "))
+    assert look.split() == ["look:", "swarmtrack", "monitor", "--team", heard.team]
+    assert heard.listener.returncode == 0, heard.listener.stderr
+    assert json.loads(heard.listener.stdout)["key"].startswith(f"swarmtrack/{heard.team}/v1/identities/")
+    complained = heard.deaf.stderr
+    assert f"nothing of team '{heard.team}-not' yet; found drones of " in complained
+    assert "Found drones of " in complained.splitlines()[-1]
+    assert heard.team in complained.replace(f"{heard.team}-not", "")
 
 
 def echo(*words):
@@ -276,16 +260,9 @@ def echo(*words):
     return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, cwd=ROOT, check=False)
 
 
-def test_ctrl_c_closes_every_file_of_the_recording(tmp_path):
-    folder = tmp_path / "rec"
-    flight = start(
-        tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "600", "--record", str(folder)
-    )
-    until(lambda: any("tracks" in m.topic for m in messages_below(folder / "swarm")), "the swarm is heard")
-    flight.send_signal(signal.SIGINT)
-    finish(flight)
-    assert not list(folder.rglob("*.active"))
-    recordings = recordings_below(folder)
+def test_ctrl_c_closes_every_file_of_the_recording(heard):
+    assert not list(heard.recording.rglob("*.active"))
+    recordings = recordings_below(heard.recording)
     assert {recording.kind for recording in recordings} == {"drone", "swarm"}
     assert all(list(recording.messages()) for recording in recordings)
     assert [recording.damage for recording in recordings] == [[]] * len(recordings)

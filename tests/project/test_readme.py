@@ -58,7 +58,10 @@ def fly_the_main_command(seconds, out):
     )
     assert result.returncode in (0, 1, 3), result.stdout + result.stderr
     assert any(words in result.stdout for words in ("PASSED", "FAILED", "NOT JUDGED"))
-    return json.loads(out.read_text(encoding="utf-8"))["identity"]
+    verdict = json.loads(out.read_text(encoding="utf-8"))
+    assert verdict["passed"] is (result.returncode == 0)
+    assert ("PASSED" in result.stdout) is verdict["passed"]
+    return verdict["identity"]
 
 
 @pytest.mark.parametrize("text", re.findall(r"```toml\n(.*?)```", README, re.DOTALL))
