@@ -1,5 +1,6 @@
 """Two drones that look at each other, and what a busy machine may spoil of their verdict."""
 
+import re
 from pathlib import Path
 
 PAIR = """
@@ -33,7 +34,9 @@ def pair(folder: Path, **expected: float) -> tuple[str, str]:
 def is_judged(said: str) -> bool:
     """Whether every drone was heard; where the machine is busy, a flight may be over before its agents speak."""
     unheard = ("nothing to judge", "no tracks were received", "never announced")
-    return not any(words in said.rpartition("FAILED")[2] for words in unheard)
+    # What comes before the verdict says "nothing to judge yet" of every flight's first second.
+    verdict = re.split("^(?:PASSED|FAILED|NOT JUDGED)", said, flags=re.MULTILINE)[-1]
+    return not any(words in verdict for words in unheard)
 
 
 def is_fair(code: int, said: str) -> bool:
