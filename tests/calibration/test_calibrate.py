@@ -427,7 +427,7 @@ def test_a_folder_of_images_becomes_a_calibration(tmp_path, capsys):
     rng = np.random.default_rng(3)
     folder = tmp_path / "views"
     folder.mkdir()
-    for i, pose in enumerate(board_poses(rng, truth, board.size_m, 10)):
+    for i, pose in enumerate(board_poses(rng, truth, board.size_m, 7)):
         cv2.imwrite(str(folder / f"{i:02}.png"), scene.image(pose, rng))
     out = tmp_path / "cam.yaml"
     code = main(["calibrate", "intrinsics", f"images://{folder}", "--out", str(out), "--json"])
