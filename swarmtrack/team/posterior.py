@@ -47,6 +47,7 @@ from swarmtrack.team.priors import (
     P_BELIEVED,
     P_FRAME_KEPT,
     P_SIZE_LEARNED,
+    P_SUPPOSED,
     REPORT_WAIT_S,
     ROUND_NEAR_S,
     ROUND_S,
@@ -299,12 +300,17 @@ class TeamPosterior:
             track = self._tracks.pop(id)
             self._missed.pop(id, None)
             whole, named = self._whole.pop(id, None), self.named.pop(id, None)
-            if whole is None or t - self._sure_t.pop(id, -math.inf) > BELIEVED_ENDED_S:
+            sure_t = self._sure_t.pop(id, -math.inf)
+            if whole is None:
                 continue
             best = max(range(len(track.segments)), key=lambda s: track.segments[s].weight)
             drone, p = max(named.p.items(), key=lambda item: item[1]) if named and named.p else (0, 0.0)
-            if p > P_FRAME_KEPT and drone in self.teammates:
-                mate = self.teammates[drone]
+            mate = self.teammates.get(drone)
+            if mate is not None and P_SUPPOSED < p <= P_FRAME_KEPT:
+                mate.suppose(track.told(t).M[best, mate.column], p, t)
+            if t - sure_t > BELIEVED_ENDED_S:
+                continue
+            if mate is not None and p > P_FRAME_KEPT:
                 mate.keep(track.told(t).M[best, mate.column], t)
                 whole = track.base(track.segments[best], len(self._errors), t)
             self._told = self._told_at(t) + whole - whole.max()
@@ -338,17 +344,22 @@ class TeamPosterior:
         each: list[Array] = [np.full((len(b), len(used), len(mates)), -np.inf) for b in base]
         for c, mate in enumerate(mates):
             old = mate.told(t)
-            M = np.concatenate([old[None]] + [old + found.M[:, mate.column] for found in told])
+            new = np.concatenate([np.zeros((1, 8, 8))] + [found.M[:, mate.column] for found in told])
             cov = mate.start_cov if not mate.doubting else np.zeros((3, 3))
             cov = cov + (self._start_sigma**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
-            marginal = Marginal(M, cov, self._errors.spreads, doubting=mate.doubting)
-            E = marginal.log_evidence(self._priors[mate.drone_id], self._errors, used, self._heading_sigma)
+            E = self._evidence(mate, old + new, cov, used)
             log_w = log_w + E[0] - E[0].max()
+            E = E - E[0]
+            if mate.p_supposed:
+                other = self._evidence(mate, mate.supposed(t) + new, cov, used)
+                E = np.logaddexp(
+                    math.log(1.0 - mate.p_supposed) + E, math.log(mate.p_supposed) + other - other[0]
+                )
             at = 1
             for r, found in enumerate(told):
                 s = len(found.M)
                 if found.known[mate.column]:
-                    news = E[at : at + s] - E[0] + found.log[:, mate.column, None]
+                    news = E[at : at + s] + found.log[:, mate.column, None]
                     news[0] += LOG_SEEN + weak[r] * LOG_WEAK
                     news[1:] -= math.log(len(mates))
                     each[r][:, :, c] = np.minimum(news, LOG_RATIO_MOST)
@@ -380,6 +391,11 @@ class TeamPosterior:
                 mine = base[r][s] + np.logaddexp(0.0, np.logaddexp.reduce(each[r][s], axis=1))
                 segment.weight = float(weight @ np.exp(np.minimum(mine - now, 0.0))[kept])
         self._learn_sizes(t)
+
+    def _evidence(self, mate: Teammate, M: Array, cov: Array, used: NDArray[np.intp]) -> Array:
+        """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""
+        marginal = Marginal(M, cov, self._errors.spreads, doubting=mate.doubting)
+        return marginal.log_evidence(self._priors[mate.drone_id], self._errors, used, self._heading_sigma)
 
     def _awake(self) -> NDArray[np.intp]:
         """The components to work out now: those with weight, and a share of the sleepers."""

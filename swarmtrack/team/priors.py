@@ -110,6 +110,8 @@ SEGMENTS_KEPT, SEGMENT_LEAST_S = 3, 1.5
 SEGMENT_MISSED_S, SEGMENT_AFTER_MISS_S = 0.6, 0.3
 # Only a track that was named so lately is believed about the own errors when it ends.
 BELIEVED_ENDED_S = 4.0
+# From such a probability on the frame of whom it was is kept, from the other on it is kept as a supposition.
+P_SUPPOSED = 0.2
 P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
 # Log ratios of pairs beyond which nothing changes.
 LOG_RATIO_LEAST, LOG_RATIO_MOST = -60.0, 80.0
@@ -121,7 +123,7 @@ P_NAME_KEPT = 0.8
 P_NAME_MOST = 0.9999
 # A fault of the own is said from this on, once it has lasted.
 P_FAULT_SAID, FAULT_SAID_AFTER_S = 0.75, 0.5
-P_STRANGER = 0.95
+P_STRANGER = 0.99
 # A track that has no name for so long lets so many drones be asked for their pose, that are as likely as that.
 ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
 

@@ -40,6 +40,9 @@ class Teammate:
     _agreed: AgreedMotion | None = None
     _told: Array = field(default_factory=lambda: np.zeros((8, 8)))
     _told_t: float = 0.0
+    p_supposed: float = 0.0
+    """The probability that the last track that may have been it was it."""
+    _supposed: Array = field(default_factory=lambda: np.zeros((8, 8)))
 
     @classmethod
     def of(cls, announcement: Announcement, column: int) -> Teammate:
@@ -106,10 +109,21 @@ class Teammate:
         """(8, 8): what its ended tracks say of its frame at t."""
         return fading(max(t - self._told_t, 0.0)) * self._told
 
+    def supposed(self, t: float) -> Array:
+        """(8, 8): what they say, and the track that only may have been it."""
+        return fading(max(t - self._told_t, 0.0)) * (self._told + self._supposed)
+
     def keep(self, M: Array, t: float) -> None:
         """A track of it has ended that said this of its frame."""
         self._told, self._told_t = self.told(t) + M, t
+        self.p_supposed = 0.0
+
+    def suppose(self, M: Array, p: float, t: float) -> None:
+        """A track has ended that was this drone with probability p."""
+        self._told, self._told_t = self.told(t), t
+        self._supposed, self.p_supposed = M, p
 
     def turn(self, to_old: Array) -> None:
         """The axes of the own rays have turned: to_old (8, 8) takes z back."""
         self._told = to_old.T @ self._told @ to_old
+        self._supposed = to_old.T @ self._supposed @ to_old
