@@ -73,7 +73,7 @@ def turned_back(angle: float) -> Array:
 class TeammatePrior:
     """Of one teammate, by each component of the own errors.
 
-    y (k, 8, 3): y at the centre, and its derivatives by ε and δ; far (c, 8, 2): the same with a heading of its own that
+    y (8, 3, k): y at the centre, and its derivatives by ε and δ; far (8, 2, c): the same with a heading of its own that
     is anywhere, in the first component only, and its derivative by δ.
     """
 
@@ -105,7 +105,7 @@ class TeammatePrior:
         far = np.repeat(y[:1, :, [0, 2]], count - 1, axis=0)
         far[:, 0, 0], far[:, 1, 0] = np.cos(angle), np.sin(angle)
         far[:, 0, 1], far[:, 1, 1] = -np.sin(angle), np.cos(angle)
-        return cls(y, far)
+        return cls(*(np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (y, far)))
 
 
 class Place(NamedTuple):
@@ -154,45 +154,42 @@ class Marginal:
         found = np.empty((len(self._S), len(used)))
         spread = errors.spread[used]
         sigma = np.where(used == 0, heading_sigma, errors.sigma[used])
-        for s in np.unique(spread):
+        loose = errors.loose[used].astype(int)
+        for s in np.unique(spread).tolist():
             here = np.flatnonzero(spread == s)
-            y, sigma_here = prior.y[used[here]], sigma[here]
-            shares = self._log_shares[errors.loose[used[here]].astype(int)]
-            each = [
-                self._of(c * self._classes + int(s), y, sigma_here) + share for c, share in enumerate(shares.T)
-            ]
-            found[:, here] = np.logaddexp.reduce(each, axis=0)
+            each = self._of(s, prior.y[:, :, used[here]], sigma[here])
+            each += self._log_shares[loose[here]].T
+            found[:, here] = np.logaddexp.reduce(each, axis=1)
         first = np.flatnonzero(used == 0)
         if first.size:
-            far = self._of_far(prior.far)
-            found[:, first[0]] = np.logaddexp(found[:, first[0]], far)
+            found[:, first[0]] = np.logaddexp(found[:, first[0]], self._of_far(prior.far))
         return found
 
-    def _of(self, column: int, y: Array, sigma: Array) -> Array:
-        S = self._S[:, column]
-        k = len(y)
-        flat = y.transpose(1, 0, 2).reshape(8, 3 * k)
-        SY = (S @ flat).reshape(len(S), 8, k, 3)
-        by = y.transpose(1, 0, 2)
-        g00 = np.einsum("ak,nak->nk", by[:, :, 0], SY[..., 0])
-        g01 = np.einsum("ak,nak->nk", by[:, :, 1], SY[..., 0])
-        g02 = np.einsum("ak,nak->nk", by[:, :, 2], SY[..., 0])
-        g11 = np.einsum("ak,nak->nk", by[:, :, 1], SY[..., 1]) * sigma**2 + 1.0
-        g12 = np.einsum("ak,nak->nk", by[:, :, 2], SY[..., 1]) * sigma * TEAMMATE_HEADING_SIGMA_RAD
-        g22 = np.einsum("ak,nak->nk", by[:, :, 2], SY[..., 2]) * TEAMMATE_HEADING_SIGMA_RAD**2 + 1.0
+    def _of(self, spread: int, y: Array, sigma: Array) -> Array:
+        """(n, c, k): by how far the teammate's start is off, and by component; y (8, 3, k)."""
+        columns = slice(spread, None, self._classes)
+        S = self._S[:, columns]
+        n, c, k = *S.shape[:2], y.shape[2]
+        SY = (S.reshape(-1, 8) @ y.reshape(8, -1)).reshape(n * c, 8, 3, k)
+        g00, g01, g02 = (np.einsum("ak,nak->nk", y[:, a], SY[:, :, 0]) for a in range(3))
+        g11, g12 = (np.einsum("ak,nak->nk", y[:, a], SY[:, :, 1]) for a in (1, 2))
+        g22 = np.einsum("ak,nak->nk", y[:, 2], SY[:, :, 2])
+        a11, a22 = g11 * sigma**2 + 1.0, g22 * TEAMMATE_HEADING_SIGMA_RAD**2 + 1.0
+        a12 = g12 * (sigma * TEAMMATE_HEADING_SIGMA_RAD)
         b1, b2 = g01 * sigma, g02 * TEAMMATE_HEADING_SIGMA_RAD
-        det = g11 * g22 - g12**2
-        quad = g00 - (g22 * b1**2 - 2.0 * g12 * b1 * b2 + g11 * b2**2) / det
-        return np.asarray(-0.5 * quad - 0.5 * np.log(det) + self._log_volume[:, column, None])
+        det = a11 * a22 - a12**2
+        quad = g00 - (a22 * b1**2 - 2.0 * a12 * b1 * b2 + a11 * b2**2) / det
+        log = (-0.5 * quad - 0.5 * np.log(det)).reshape(n, c, k)
+        return np.asarray(log + self._log_volume[:, columns, None])
 
     def _of_far(self, far: Array) -> Array:
+        """(n,): with the teammate's heading anywhere, and its start as stated; far (8, 2, c)."""
         S, sigma = self._S[:, 0], TEAMMATE_HEADING_CELL_SIGMA_RAD
-        SY = np.einsum("nab,cbx->ncax", S, far)
-        g00 = np.einsum("ca,nca->nc", far[..., 0], SY[..., 0])
-        b = np.einsum("ca,nca->nc", far[..., 1], SY[..., 0]) * sigma
-        h = np.einsum("ca,nca->nc", far[..., 1], SY[..., 1]) * sigma**2 + 1.0
-        log = -0.5 * (g00 - b**2 / h) - 0.5 * np.log(h)
-        log += self._log_volume[:, :1] + self._log_far - math.log(len(far))
+        SY = (S.reshape(-1, 8) @ far.reshape(8, -1)).reshape(len(S), 8, 2, -1)
+        g00, g01 = (np.einsum("ac,nac->nc", far[:, a], SY[:, :, 0]) for a in range(2))
+        h = np.einsum("ac,nac->nc", far[:, 1], SY[:, :, 1]) * sigma**2 + 1.0
+        log = -0.5 * (g00 - (g01 * sigma) ** 2 / h) - 0.5 * np.log(h)
+        log += self._log_volume[:, :1] + self._log_far - math.log(far.shape[2])
         return np.asarray(np.logaddexp.reduce(log, axis=1))
 
     def places(
@@ -200,7 +197,7 @@ class Marginal:
     ) -> list[Place]:
         """Where the teammate is by one component k, with its start as stated and off. M (8, 8): of the one pair; G
         (3, 8): `design` of where it says that it is."""
-        y, s = prior.y[k], int(errors.spread[k])
+        y, s = prior.y[:, :, k], int(errors.spread[k])
         sigma = heading_sigma if k == 0 else float(errors.sigma[k])
         L = np.zeros((8, 5))
         L[:LEVEL, :2] = y[:LEVEL, 1:]

@@ -32,6 +32,7 @@ from swarmtrack.team.priors import (
     P_STARTS_LOOSE,
     P_TEAM_TURNED,
     PADS_SWAPPED_WITH,
+    SLEEPERS_PARTS,
     START_RING_DIRECTIONS,
     START_RING_SIGMA,
     START_RINGS_M,
@@ -149,7 +150,8 @@ class OwnErrors:
     """The components as arrays of k rows.
 
     heading, sigma (k,) rad; shift (k, 3) m; spread (k,): index into `spreads`, m, of the starts within the component;
-    path (k,): `Path`; mine (k,): whether it is this drone that is wrong, its heading apart.
+    path (k,): `Path`; mine (k,): whether it is this drone that is wrong, its heading apart;
+    part (k,): of `SLEEPERS_PARTS`, those that are alike together.
     """
 
     def __init__(self, own: int, pads: Mapping[int, Array]) -> None:
@@ -164,6 +166,7 @@ class OwnErrors:
         self.spreads = sorted({c.ring for c in each})
         self.spread = np.array([self.spreads.index(c.ring) for c in each])
         self.spreads = [START_RING_SIGMA * ring for ring in self.spreads]
+        self.part = np.argsort(np.argsort(self.spread, kind="stable")) * SLEEPERS_PARTS // len(each)
         self._prior = np.array([c.prior for c in each])
         self.coupled = np.array([c.sigma == COUPLED_HEADING_SIGMA_RAD for c in each])
         self.loose = np.array([c.loose for c in each])

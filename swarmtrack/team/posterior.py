@@ -46,6 +46,7 @@ from swarmtrack.team.priors import (
     OWN_ERRORS_LAST_S,
     P_BELIEVED,
     P_FRAME_KEPT,
+    P_SETTLED,
     P_SIZE_LEARNED,
     P_SUPPOSED,
     REPORT_WAIT_S,
@@ -54,7 +55,8 @@ from swarmtrack.team.priors import (
     SEGMENT_AFTER_MISS_S,
     SEGMENT_LEAST_S,
     SEGMENT_MISSED_S,
-    SLEEPERS_EVERY_ROUNDS,
+    SLEEPERS_PARTS,
+    SLEEPERS_PARTS_DOUBTFUL,
     START_LEAST_SIGMA_M,
     TRACKS_MEET_PX,
 )
@@ -119,7 +121,8 @@ class TeamPosterior:
         self._log_weight = np.zeros(len(self._errors))
         self.weight = np.zeros(len(self._errors))
         """(k,) of the components."""
-        self._turn = 0
+        self._part = 0
+        self._is_settled = False
         self._judged = -math.inf
         self._news = False
 
@@ -399,10 +402,10 @@ class TeamPosterior:
 
     def _awake(self) -> NDArray[np.intp]:
         """The components to work out now: those with weight, and a share of the sleepers."""
-        k = np.arange(len(self._errors))
-        self._turn += 1
-        awake = self._log_weight > LOG_SLEEPS
-        awake |= k % SLEEPERS_EVERY_ROUNDS == self._turn % SLEEPERS_EVERY_ROUNDS
+        parts = 1 if self._is_settled else SLEEPERS_PARTS_DOUBTFUL
+        looked_at = (self._errors.part - self._part) % SLEEPERS_PARTS < parts
+        self._part = (self._part + parts) % SLEEPERS_PARTS
+        awake = (self._log_weight > LOG_SLEEPS) | looked_at
         awake[0] = True
         return np.flatnonzero(awake)
 
@@ -439,6 +442,8 @@ class TeamPosterior:
             self.named[id] = Named(p, max(1.0 - float(P[r].sum()), 0.0))
             if max(p.values()) >= P_BELIEVED:
                 self._sure_t[id] = t
+        sure = (max(self.named[id].p_none, *self.named[id].p.values()) > P_SETTLED for id in rows)
+        self._is_settled = bool(self.weight.max() > P_SETTLED) and all(sure)
 
     def _learn_sizes(self, t: float) -> None:
         """How large a named drone is, by where it is: a box a second; all its boxes share a part of their error."""

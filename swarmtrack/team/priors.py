@@ -28,7 +28,7 @@ START_RING_SIGMA = 0.35
 P_STARTS_LOOSE = 0.02
 P_LOOSE_START_OFF = (0.25, 0.55)
 # Two drones stand on each other's pads, or everybody on the next one's.
-P_PADS_PERMUTED = 0.06
+P_PADS_PERMUTED = 0.1
 # In a large team only drones whose pads are next to each other are taken for one another.
 PADS_SWAPPED_WITH = 3
 # Two faults at once: of headings the second is looked for in coarser cells, of starts on one ring.
@@ -129,6 +129,8 @@ ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
 
 # --- Which components are worked out. ---
 
-# A component that is less likely sleeps; a share of the sleepers is looked at in each round.
-LOG_SLEEPS = -14.0
-SLEEPERS_EVERY_ROUNDS = 6
+# A component that is less likely sleeps. Of so many parts of the sleepers one is looked at in each round, and more of
+# them while a component, or a name, is less sure than that.
+LOG_SLEEPS = -12.0
+SLEEPERS_PARTS, SLEEPERS_PARTS_DOUBTFUL = 48, 8
+P_SETTLED = 0.98
