@@ -198,7 +198,9 @@ class TeamPosterior:
     def _rebuild(self) -> None:
         if self._start is None:
             return
-        pads = {mate.drone_id: mate.start for mate in self.teammates.values()}
+        pads = {
+            mate.drone_id: mate.start if mate.knows_start else self._start for mate in self.teammates.values()
+        }
         before, self._errors = self._errors, OwnErrors(self.own, {self.own: self._start, **pads})
         self._told = self._errors.mapped_from(before, self._told)
         self._log_weight = np.zeros(len(self._errors))
@@ -348,8 +350,7 @@ class TeamPosterior:
         for c, mate in enumerate(mates):
             old = mate.told(t)
             new = np.concatenate([np.zeros((1, 8, 8))] + [found.M[:, mate.column] for found in told])
-            cov = mate.start_cov if not mate.doubting else np.zeros((3, 3))
-            cov = cov + (self._start_sigma**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
+            cov = self._start_cov(mate)
             E = self._evidence(mate, old + new, cov, used)
             log_w = log_w + E[0] - E[0].max()
             E = E - E[0]
@@ -394,6 +395,10 @@ class TeamPosterior:
                 mine = base[r][s] + np.logaddexp(0.0, np.logaddexp.reduce(each[r][s], axis=1))
                 segment.weight = float(weight @ np.exp(np.minimum(mine - now, 0.0))[kept])
         self._learn_sizes(t)
+
+    def _start_cov(self, mate: Teammate) -> Array:
+        """(3, 3) m²: of where a teammate started, from where this drone did."""
+        return np.asarray(mate.start_cov + (self._start_sigma**2 + START_LEAST_SIGMA_M**2) * np.eye(3))
 
     def _evidence(self, mate: Teammate, M: Array, cov: Array, used: NDArray[np.intp]) -> Array:
         """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""
@@ -473,9 +478,7 @@ class TeamPosterior:
         assert self._start is not None
         place, sigma = mate.at(t)
         G = design((place - mate.start)[None], self._scans[track.camera][-1].origin - self._start)[0]
-        cov = mate.start_cov if not mate.doubting else np.zeros((3, 3))
-        cov = cov + (self._start_sigma**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
-        marginal = Marginal(M[None], cov, self._errors.spreads, doubting=mate.doubting)
+        marginal = Marginal(M[None], self._start_cov(mate), self._errors.spreads, doubting=mate.doubting)
         likely = np.argsort(-self.weight)[:3]
         log, mean, spread = [], [], []
         for k in likely[self.weight[likely] > 1e-3].tolist():

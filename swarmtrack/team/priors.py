@@ -52,6 +52,9 @@ START_OFF_VERTICAL = 0.2
 # Of any stated start, beside what is stated.
 START_LEAST_SIGMA_M = 0.05
 
+# Whoever knows no place is within this, per axis.
+SOMEWHERE_SIGMA_M = 30.0
+
 # --- Bearings and reported places. ---
 
 # White error of a reported place against the one that is flown.

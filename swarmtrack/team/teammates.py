@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, SightingReport
-from swarmtrack.team.priors import BOX_SPAN_SIGMA_LN, REPORTED_PLACE_SIGMA_M
+from swarmtrack.team.priors import BOX_SPAN_SIGMA_LN, REPORTED_PLACE_SIGMA_M, SOMEWHERE_SIGMA_M
 from swarmtrack.team.reported_path import Report, ReportedPath
 from swarmtrack.team.track_evidence import fading
 
@@ -29,6 +29,8 @@ class Teammate:
     boot: str
     start: Array
     start_cov: Array
+    knows_start: bool = True
+    """Whether that says anything: if not, it is somewhere around this drone."""
     doubting: bool = False
     path: ReportedPath = field(default_factory=ReportedPath)
     log_span: float = 0.0
@@ -53,6 +55,8 @@ class Teammate:
             announcement.position.copy(),
             announcement.position_cov.copy(),
         )
+        if float(np.trace(made.start_cov)) > 3.0 * SOMEWHERE_SIGMA_M**2:
+            made.start_cov, made.knows_start = SOMEWHERE_SIGMA_M**2 * np.eye(3), False
         made.announce(announcement)
         return made
 
