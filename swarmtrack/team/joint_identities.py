@@ -26,7 +26,6 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     Membership,
     MotionReport,
-    PeerExpelled,
     SightingReport,
     Track,
     TrackStatus,
@@ -75,6 +74,8 @@ class JointIdentities:
         self._pose_requests = PoseRequests()
         self._view: ObserverCamera | None = None
         self._alive: dict[int, Track] = {}
+        self._looked: dict[int, float] = {}
+        """By camera, when its last scan was, s."""
         self._names: dict[int, tuple[int, float]] = {}
         """By track: drone and probability."""
         self._strange_since: dict[int, float] = {}
@@ -127,11 +128,14 @@ class JointIdentities:
     def on_membership(self, event: Membership) -> None:
         """Who lives. While two processes speak as one drone, no track is it."""
         self._teammates.on_membership(event)
-        self._posterior.silenced = set(self._teammates.clashing)
-        if isinstance(event, PeerExpelled):
-            self._posterior.expel(event.drone_id)
-        gone = self._posterior.silenced | (set() if not isinstance(event, PeerExpelled) else {event.drone_id})
-        self._names = {id: name for id, name in self._names.items() if name[0] not in gone}
+        self._forget_gone()
+
+    def _forget_gone(self) -> None:
+        """Of whom no pose is known any more, because two processes speak as it or its process is long gone, there is
+        nothing to compare with a track."""
+        for drone in self._posterior.teammates.keys() - self._teammates.announced.keys():
+            self._posterior.expel(drone)
+        self._names = {id: name for id, name in self._names.items() if name[0] in self._posterior.teammates}
 
     def overrule(self, drone_id: int, t: float) -> bool:
         """Others see it elsewhere. Returns whether it should announce its pose again."""
@@ -158,6 +162,7 @@ class JointIdentities:
         t = observer.t
         self._view = view = ObserverCamera.of(observer, *self._cameras[camera], camera)
         self._alive = {track.id: track for track in tracks}
+        self._looked[camera] = t
         shown = [track for track in self._alive.values() if track.camera == camera]
         self._posterior.observe(
             _bearings(shown, view),
@@ -170,6 +175,7 @@ class JointIdentities:
         self._ask(t)
         self._remember_rays(shown, view)
         self._teammates.forget(t, {drone for drone, _ in self._names.values()})
+        self._forget_gone()
         self._doubt(t)
         vouched = tuple(
             id for id, track in self._alive.items() if track.status is TrackStatus.TENTATIVE and id in self._names
@@ -190,7 +196,7 @@ class JointIdentities:
             p = self._names[id][1] * self._alive[id].probability
             if self._alive[id].camera == self._view.number:
                 found += [(ray, p)] if ray.t == t else []
-            elif abs(ray.t - t) <= RECENT_S:
+            elif abs(ray.t - t) <= RECENT_S and ray.t >= self._looked.get(self._alive[id].camera, -math.inf):
                 place = self._teammates.whereabouts.latest(ray.drone_id).position
                 found.append((seen_from(ray, place, self._view), p))
         return found
@@ -201,7 +207,7 @@ class JointIdentities:
         for id, named in self._posterior.named.items():
             if id not in self._alive:
                 continue
-            drone, p = max(named.p.items(), key=lambda item: item[1])
+            drone, p = named.likeliest
             held = self._names.get(id)
             least = P_NAME_KEPT if held is not None and held[0] == drone else self._parameters.probability
             if p >= least:

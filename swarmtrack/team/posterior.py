@@ -91,6 +91,11 @@ class Named(NamedTuple):
     p: Mapping[int, float]
     p_none: float
 
+    @property
+    def likeliest(self) -> tuple[int, float]:
+        """A drone and its probability; 0 and 0 where nobody is known."""
+        return max(self.p.items(), key=lambda item: item[1], default=(0, 0.0))
+
 
 class TeamPosterior:
     """Told of reports and scans; `named` and `p_fault` are read after each."""
@@ -101,8 +106,6 @@ class TeamPosterior:
         self.named: dict[int, Named] = {}
         self.p_fault = 0.0
         """The probability that the own heading or start is wrong."""
-        self.silenced: set[int] = set()
-        """As whom two processes speak: no track is one of these."""
         self._start: Array | None = None
         self._start_sigma = max(start_sigma_m, START_LEAST_SIGMA_M)
         self._heading_sigma = HEADING_LEAST_SIGMA_RAD
@@ -188,7 +191,8 @@ class TeamPosterior:
             mate.column -= mate.column > gone.column
         for track in self._tracks.values():
             track.remove(gone.column)
-        self._priors.pop(drone_id, None)
+        for id, named in self.named.items():
+            self.named[id] = Named({other: p for other, p in named.p.items() if other != drone_id}, named.p_none)
         self._rebuild()
 
     def _forget_column(self, column: int) -> None:
@@ -265,14 +269,17 @@ class TeamPosterior:
         sigma = np.array([s for _, s in said])
         log_span = np.array([mate.log_span for mate in mates])
         variance = np.array([mate.span_variance for mate in mates])
-        columns = [mate.column for mate in mates]
+        columns = np.array([mate.column for mate in mates])
+        knows = np.array([mate.knows(scan.t) for mate in mates])
         for id in ids:
             track = self._tracks.get(id)
             if track is None:
                 track = self._tracks[id] = TrackEvidence(len(self.teammates), scan.camera)
                 track.weak = scan.bearings[id].weak
             bearing = scan.bearings[id]
-            track.add(bearing, columns, place, bearing.camera - self._start, sigma, log_span, variance)
+            of = np.flatnonzero(knows | ~track.compared[columns])
+            way = bearing.camera - self._start
+            track.add(bearing, columns[of], place[of], way, sigma[of], log_span[of], variance[of])
         self._news = True
 
     def _watch(self, scan: BearingScan) -> None:
@@ -309,7 +316,7 @@ class TeamPosterior:
             if whole is None:
                 continue
             best = max(range(len(track.segments)), key=lambda s: track.segments[s].weight)
-            drone, p = max(named.p.items(), key=lambda item: item[1]) if named and named.p else (0, 0.0)
+            drone, p = named.likeliest if named else (0, 0.0)
             mate = self.teammates.get(drone)
             if mate is not None and P_SUPPOSED < p <= P_FRAME_KEPT:
                 mate.suppose(track.told(t).M[best, mate.column], p, t)
@@ -329,8 +336,9 @@ class TeamPosterior:
     def _judge(self, t: float) -> None:
         self._judged, self._news = t, False
         rows = [id for id, track in self._tracks.items() if not math.isnan(track.begun)]
-        mates = [mate for mate in self.teammates.values() if mate.drone_id not in self.silenced]
+        mates = list(self.teammates.values())
         if not mates or self._start is None:
+            self.named = {}
             return
         log_prior, off_share = self._errors.log_prior(self._heading_sigma)
         used = self._awake()
@@ -444,16 +452,16 @@ class TeamPosterior:
     def _read_names(self, rows: Sequence[int], mates: Sequence[Teammate], P: Array, t: float) -> None:
         for r, id in enumerate(rows):
             p = {mate.drone_id: float(P[r, c]) for c, mate in enumerate(mates)}
-            self.named[id] = Named(p, max(1.0 - float(P[r].sum()), 0.0))
-            if max(p.values()) >= P_BELIEVED:
+            self.named[id] = named = Named(p, max(1.0 - float(P[r].sum()), 0.0))
+            if named.likeliest[1] >= P_BELIEVED:
                 self._sure_t[id] = t
-        sure = (max(self.named[id].p_none, *self.named[id].p.values()) > P_SETTLED for id in rows)
+        sure = (max(self.named[id].p_none, self.named[id].likeliest[1]) > P_SETTLED for id in rows)
         self._is_settled = bool(self.weight.max() > P_SETTLED) and all(sure)
 
     def _learn_sizes(self, t: float) -> None:
         """How large a named drone is, by where it is: a box a second; all its boxes share a part of their error."""
         for id, named in self.named.items():
-            drone, p = max(named.p.items(), key=lambda item: item[1])
+            drone, p = named.likeliest
             mate = self.teammates.get(drone)
             scans = self._scans[self._tracks[id].camera]
             if p < P_SIZE_LEARNED or mate is None or t - mate.sized_t < BOX_LEARNED_EVERY_S:

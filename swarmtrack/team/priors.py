@@ -28,7 +28,7 @@ START_RING_SIGMA = 0.35
 P_STARTS_LOOSE = 0.02
 P_LOOSE_START_OFF = (0.25, 0.55)
 # Two drones stand on each other's pads, or everybody on the next one's.
-P_PADS_PERMUTED = 0.1
+P_PADS_PERMUTED = 0.06
 # In a large team only drones whose pads are next to each other are taken for one another.
 PADS_SWAPPED_WITH = 3
 # Two faults at once: of headings the second is looked for in coarser cells, of starts on one ring.
@@ -62,6 +62,8 @@ REPORTED_PLACE_SIGMA_M = 0.12
 # How much farther off a place is that is carried on from the last report: of a drone that moves, and one that hovers.
 CARRIED_MOVING_M_S, CARRIED_HOVERING_M_S, MOVING_M_S = 0.6, 0.2, 0.3
 CARRIED_FREE_S, CARRIED_MOST_S = 0.2, 1.5
+# Of a teammate that has said nothing for longer, only a track that is new is compared with its last place.
+PLACE_LASTS_S = 3.0
 # A path between two reports bends as the last three did; of its sagitta so much is error.
 BEND_ERROR = 0.7
 # Beside what the tracker says: of the own attitude, of a box's centre against its drone's.
@@ -126,7 +128,7 @@ P_NAME_KEPT = 0.8
 P_NAME_MOST = 0.9999
 # A fault of the own is said from this on, once it has lasted.
 P_FAULT_SAID, FAULT_SAID_AFTER_S = 0.75, 0.5
-P_STRANGER = 0.99
+P_STRANGER = 0.98
 # A track that has no name for so long lets so many drones be asked for their pose, that are as likely as that.
 ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
 

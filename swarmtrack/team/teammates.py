@@ -8,7 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, SightingReport
-from swarmtrack.team.priors import BOX_SPAN_SIGMA_LN, REPORTED_PLACE_SIGMA_M, SOMEWHERE_SIGMA_M
+from swarmtrack.team.priors import (
+    BOX_SPAN_SIGMA_LN,
+    PLACE_LASTS_S,
+    REPORTED_PLACE_SIGMA_M,
+    SOMEWHERE_SIGMA_M,
+)
 from swarmtrack.team.reported_path import Report, ReportedPath
 from swarmtrack.team.track_evidence import fading
 
@@ -100,6 +105,13 @@ class Teammate:
             now = np.array([np.interp(t, motion.t, axis) for axis in motion.displacement.T])
             return self.start + now - motion.displacement[0], REPORTED_PLACE_SIGMA_M
         return self.path.at(t)
+
+    def knows(self, t: float) -> bool:
+        """Whether it has said anything of where it was at about t."""
+        motion = self._agreed
+        if motion is not None and motion.t[0] <= t <= motion.t[-1]:
+            return True
+        return bool(self.path) and t - self.path.last.t <= PLACE_LASTS_S
 
     def has_said(self, t: float) -> bool:
         """Whether nothing has to be waited for to know where it was at t."""

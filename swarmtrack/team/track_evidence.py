@@ -11,11 +11,11 @@ speaks for the own errors in any case, whoever it was then.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.evidence import design
@@ -107,6 +107,11 @@ class TrackEvidence:
         self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
         self.grow(n)
 
+    @property
+    def compared(self) -> NDArray[np.bool_]:
+        """(n,): the teammates that it was compared with at least once."""
+        return np.isfinite(self._at)
+
     def grow(self, n: int) -> None:
         """Compare n teammates from now on."""
         more = n - self.n
@@ -161,7 +166,7 @@ class TrackEvidence:
     def add(
         self,
         bearing: Bearing,
-        columns: Sequence[int],
+        columns: NDArray[np.intp],
         place: Array,
         own_way: Array,
         place_sigma: Array,
@@ -174,7 +179,7 @@ class TrackEvidence:
         place_sigma (m,) m; log_span, span_variance (m,): its size as a share of `BOX_SPAN_M`, ln, and its variance.
         """
         self.fade(bearing.t)
-        j = np.asarray(columns)
+        j = columns
         dt = bearing.t - self._at[j]
         weight = np.clip(dt / ROUND_S, 0.0, 1.0)
         counts = weight > _LEAST_WEIGHT
@@ -236,7 +241,7 @@ class TrackEvidence:
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
         whole = np.array([s.before is None for s in self.segments])[:, None]
         log = sums[..., _LOG] + whole * self.size_log - stranger
-        return Told(M, log, np.isfinite(self._at))
+        return Told(M, log, self.compared)
 
     def base(self, segment: Segment, k: int, t: float) -> Array:
         """(k,) log evidence of all before a segment, with its prior."""

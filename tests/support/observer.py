@@ -11,6 +11,7 @@ from swarmtrack.identity.identities import NO_NEWS, Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement, MotionReport, SightingReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
+from swarmtrack.team.joint_identities import JointIdentities
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 FORWARD = Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
@@ -35,7 +36,8 @@ class Observer:
     """Drone 1: it hears announcements, and its tracks are what a test says."""
 
     def __init__(self, cameras=(FORWARD,), lens=CAMERA, **parameters):
-        self.identities = Identities(
+        made = JointIdentities if parameters.get("model") == "joint" else Identities
+        self.identities = made(
             1,
             cameras=[(lens, pose) for pose in cameras],
             parameters=IdentityParameters(**parameters),

@@ -1,0 +1,83 @@
+"""The components: what may be wrong with this drone, and with the pads of its team."""
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmtrack.team.own_errors import OwnErrors, Path
+
+PADS = {drone: np.array([3.0 * drone, drone % 2, -1.0]) for drone in (1, 2, 3, 4)}
+
+
+@pytest.mark.parametrize("heading_deg", [2.0, 5.0, 15.0])
+def test_priors_add_up_to_one(heading_deg):
+    log_prior, off = OwnErrors(1, PADS).log_prior(math.radians(heading_deg))
+    # The cells of a wide heading are cut off where another fault has all of the prior.
+    assert np.exp(log_prior).sum() == pytest.approx(1.0, abs=1e-3)
+    assert (off >= 0.0).all() and (off <= 1.0).all()
+
+
+def test_as_configured_is_first_and_no_fault():
+    errors = OwnErrors(1, PADS)
+    log_prior, off = errors.log_prior(math.radians(2.0))
+    assert int(log_prior.argmax()) == 0
+    assert off[0] == 0.0 and not errors.mine[0]
+
+
+def test_a_heading_that_is_off_is_a_fault_unless_the_autopilot_knows_no_better():
+    errors = OwnErrors(1, PADS)
+    k = next(k for k, c in enumerate(errors.components) if c.heading == pytest.approx(math.radians(12.0)))
+    _, sure = errors.log_prior(math.radians(2.0))
+    _, vague = errors.log_prior(math.radians(12.0))
+    assert sure[k] > 0.99 > 0.1 > vague[k]
+
+
+def test_two_on_each_others_pads_stand_where_the_other_says():
+    errors = OwnErrors(1, PADS)
+    k = next(k for k, c in enumerate(errors.components) if c.pads == ((1, 2), (2, 1)) and not c.heading)
+    assert errors.stands_at(1)[k].tolist() == PADS[2].tolist()
+    assert errors.stands_at(2)[k].tolist() == PADS[1].tolist()
+    assert errors.stands_at(3)[k].tolist() == PADS[3].tolist()
+    assert errors.mine[k] and errors.permuted(2)[k] and not errors.permuted(3)[k]
+
+
+def test_in_a_large_team_only_neighbours_swap():
+    many = {drone: np.array([2.0 * drone, 0.0, 0.0]) for drone in range(1, 31)}
+    swaps = {c.pads for c in OwnErrors(1, many).components if len(c.pads) == 2}
+    assert ((5, 6), (6, 5)) in swaps
+    assert ((1, 30), (30, 1)) not in swaps
+    assert len(swaps) < 120
+
+
+def test_what_was_learned_goes_over_to_a_larger_team():
+    small = OwnErrors(1, {drone: PADS[drone] for drone in (1, 2)})
+    large = OwnErrors(1, PADS)
+    value = np.arange(len(small), dtype=float)
+    mapped = large.mapped_from(small, value)
+    for k, c in enumerate(large.components):
+        if not c.pads and not c.loose:
+            same = small.components.index(c)
+            assert mapped[k] == value[same]
+
+
+def test_a_step_of_the_heading_moves_what_was_learned_to_the_next_cells():
+    errors = OwnErrors(1, PADS)
+    value = np.zeros(len(errors))
+
+    def of(degrees, path=Path.TURNED):
+        return next(
+            k
+            for k, c in enumerate(errors.components)
+            if c.heading == pytest.approx(math.radians(degrees))
+            and c.path is path
+            and not c.pads
+            and not c.ring
+            and not errors.coupled[k]
+        )
+
+    value[of(30.0)] = 5.0
+    turned = errors.turned(value, math.radians(12.0))
+    assert turned[of(42.0)] == 5.0
+    assert turned[of(30.0)] == 0.0
+    assert errors.turned(value, math.radians(2.0)).tolist() == value.tolist()

@@ -1,0 +1,46 @@
+"""Where a teammate was between its reports."""
+
+import numpy as np
+import pytest
+
+from swarmtrack.team.priors import REPORTED_PLACE_SIGMA_M
+from swarmtrack.team.reported_path import Report, ReportedPath
+
+
+def path(*reports):
+    made = ReportedPath()
+    for t, x, velocity in reports:
+        made.append(Report(t, np.array([x, 0.0, 0.0]), None if velocity is None else np.array([velocity, 0.0, 0.0])))
+    return made
+
+
+def test_nothing_was_said():
+    assert not ReportedPath()
+    with pytest.raises(IndexError):
+        _ = ReportedPath().last
+
+
+def test_between_two_reports_it_is_on_the_line():
+    place, sigma = path((0.0, 1.0, None), (1.0, 3.0, None)).at(0.25)
+    assert place.tolist() == [1.5, 0.0, 0.0]
+    assert sigma == REPORTED_PLACE_SIGMA_M
+
+
+def test_a_path_that_bends_is_a_parabola_and_vaguer():
+    bending = path(*((float(t), 0.5 * t**2, None) for t in range(4)))
+    place, sigma = bending.at(2.5)
+    assert place[0] == pytest.approx(0.5 * 2.5**2)
+    assert sigma > 1.2 * REPORTED_PLACE_SIGMA_M
+
+
+def test_it_is_carried_on_for_a_while_and_grows_vague():
+    moving = path((0.0, 0.0, 2.0))
+    assert moving.at(1.0)[0][0] == pytest.approx(2.0)
+    assert moving.at(9.0)[0][0] == pytest.approx(3.0)
+    assert moving.at(9.0)[1] > 10.0 * REPORTED_PLACE_SIGMA_M
+    assert path((0.0, 0.0, None)).at(9.0)[1] < moving.at(9.0)[1]
+
+
+def test_a_report_that_is_not_newer_is_dropped():
+    made = path((1.0, 1.0, None), (1.0, 9.0, None), (0.5, 9.0, None))
+    assert made.last.place[0] == 1.0
