@@ -46,6 +46,7 @@ SECONDS = {"crossing": 20.0, "hover-triangle": 20.0, "errand": 30.0}
 # m: what the shipped configs state.
 SIGMA = 0.1
 VICTIM = 1
+MODEL = IdentityParameters().model
 # s of flight.
 LATER_S = 10.0
 COMPASS_DEG = (5.0, 10.0, 20.0, 30.0, 90.0, 180.0)
@@ -140,7 +141,7 @@ def fly(
     seed: int,
     *,
     share_hz: float | None = None,
-    model: str = IdentityParameters.model,
+    model: str = MODEL,
 ) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight. share_hz: how often each says how it
     moves, None: never. model: `identity.model`."""
@@ -149,9 +150,7 @@ def fly(
     flown = misplaced(replace(flown, announced=told), row)
     mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
     identity = IdentityParameters(model=model)
-    swarm = VirtualSwarm(
-        flown, tracker=tracker, identity=identity, mistakes=mistakes, share_hz=share_hz
-    )
+    swarm = VirtualSwarm(flown, tracker=tracker, identity=identity, mistakes=mistakes, share_hz=share_hz)
     watch = _Watch(swarm, SECONDS[scenario])
     score = recognition.judge(swarm, flown, SECONDS[scenario], watch.add_glance).score
     after = {
@@ -223,7 +222,7 @@ BENCH = Flights(
             "--model",
             "what names tracks: `identity.model` (default: %(default)s)",
             choices=("matching", "joint"),
-            default=IdentityParameters.model,
+            default=MODEL,
         ),
         PROCESSES,
     ),

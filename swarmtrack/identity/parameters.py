@@ -12,8 +12,8 @@ class IdentityParameters:
     profile: str = "default"
     """`paper`: Algorithm 1 as printed, in one shot. `default`: the posterior, which includes "unknown"."""
     model: str = "matching"
-    """What names tracks in the default profile. `matching`: each scan is matched anew, and rules join it with motion.
-    `joint`: one posterior of names, headings, starts and frames, in trial (docs/joint.md)."""
+    """What names tracks in the profile `default`. `matching`: a matching of each scan, joined with motion. `joint`: one
+    posterior of names, headings and starts, in trial ([joint.md](joint.md))."""
     probability: float = 0.95
     """An ID is stated only above this probability."""
     scans: int = 3

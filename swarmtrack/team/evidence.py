@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
-from swarmtrack.team.own_errors import OwnErrors, Path
+from swarmtrack.team.own_errors import OwnErrors, PathTurn
 from swarmtrack.team.priors import (
     P_DOUBTING_HEADING_OFF,
     P_DOUBTING_START_OFF,
@@ -71,7 +71,7 @@ def turned_back(angle: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TeammatePrior:
-    """Of one teammate, by each component of the own errors.
+    """One teammate's prior, by component of the observer's errors.
 
     y (8, 3, k): y at the centre, and its derivatives by ε and δ; far (8, 2, c): the same with a heading of its own that
     is anywhere, in the first component only, and its derivative by δ.
@@ -84,10 +84,10 @@ class TeammatePrior:
     def of(cls, drone_id: int, errors: OwnErrors) -> TeammatePrior:
         apart = errors.stands_at(drone_id) - errors.stands_at(errors.own) - errors.shift
         path, psi = errors.path, errors.heading
-        theta = np.where(path == Path.TEAM_TURNED, 0.0, -psi)
-        phi = np.where(path == Path.TRUE, -psi, 0.0)
-        theta_by = np.where(path == Path.TEAM_TURNED, 0.0, -1.0)
-        phi_by = np.where(path == Path.TRUE, -1.0, 0.0)
+        theta = np.where(path == PathTurn.TEAM, 0.0, -psi)
+        phi = np.where(path == PathTurn.NONE, -psi, 0.0)
+        theta_by = np.where(path == PathTurn.TEAM, 0.0, -1.0)
+        phi_by = np.where(path == PathTurn.NONE, -1.0, 0.0)
         y = np.zeros((len(psi), 8, 3))
         y[:, 0, 0], y[:, 1, 0] = np.cos(theta), np.sin(theta)
         y[:, 2, 0], y[:, 3, 0] = np.cos(phi), np.sin(phi)
@@ -193,7 +193,7 @@ class Marginal:
         return np.asarray(np.logaddexp.reduce(log, axis=1))
 
     def places(
-        self, M: Array, G: Array, prior: TeammatePrior, errors: OwnErrors, k: int, heading_sigma: float
+        self, M: Array, G: Array, *, prior: TeammatePrior, errors: OwnErrors, k: int, heading_sigma: float
     ) -> list[Place]:
         """Where the teammate is by one component k, with its start as stated and off. M (8, 8): of the one pair; G
         (3, 8): `design` of where it says that it is."""

@@ -1,8 +1,8 @@
-"""Who is who by one posterior of the whole team: the face that the onboard core knows.
+"""Identities from one posterior of the whole team, with the interface of `Identities`.
 
-A track is given a name once its teammate is likely enough, keeps it while it is rather that teammate than not, and is a
-stranger once it has surely been none of them for a while. There are no other states: what speaks against a name is in
-the posterior (`posterior.py`).
+A track gets a name once its teammate is likely enough, and keeps it while that teammate is likelier than not. It is
+foreign once it has been unlikely to be any teammate for a while. There are no other states: all evidence against a name
+is in the posterior (`posterior.py`).
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.relative.alignment import FrameTransform
+from swarmtrack.team.mixture import OwnKnowledge
 from swarmtrack.team.posterior import BearingScan, TeamPosterior
 from swarmtrack.team.priors import (
     ASK_AFTER_S,
@@ -126,7 +127,7 @@ class JointIdentities:
             mate.move(report)
 
     def on_membership(self, event: Membership) -> None:
-        """Who lives. While two processes speak as one drone, no track is it."""
+        """Membership changes. While two processes use one ID, no track has it."""
         self._teammates.on_membership(event)
         self._forget_gone()
 
@@ -151,11 +152,11 @@ class JointIdentities:
 
     def lose_place(self) -> None:
         """This drone may be elsewhere than it thinks."""
-        self._posterior.lose_place()
+        self._posterior.begin_again()
 
     def turn_unmeasured(self) -> None:
-        """The camera has turned since the last scan, and nobody knows how far: each track may be another."""
-        self._posterior.turn_unmeasured()
+        """The camera has turned by an unknown angle since the last scan: each track may have another target."""
+        self._posterior.begin_again()
 
     def observe(self, tracks: Iterable[Track], observer: TeamPose, camera: int = 0) -> IdentityNews:
         """Look at all tracks after a scan of a camera, with this drone's own pose at its exposure."""
@@ -167,9 +168,8 @@ class JointIdentities:
         self._posterior.observe(
             _bearings(shown, view),
             self._alive.keys(),
-            own_place=observer.position,
-            own_sigma=observer.position_sigma,
-            heading_sigma=math.sqrt(float(observer.attitude_cov[2, 2])),
+            observer.position,
+            OwnKnowledge(observer.position_sigma, math.sqrt(float(observer.attitude_cov[2, 2]))),
         )
         self._name(t)
         self._ask(t)
@@ -178,7 +178,9 @@ class JointIdentities:
         self._forget_gone()
         self._doubt(t)
         vouched = tuple(
-            id for id, track in self._alive.items() if track.status is TrackStatus.TENTATIVE and id in self._names
+            id
+            for id, track in self._alive.items()
+            if track.status is TrackStatus.TENTATIVE and id in self._names
         )
         return IdentityNews(vouched, (), self._pose_requests.of_this_scan())
 

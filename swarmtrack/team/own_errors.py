@@ -1,8 +1,8 @@
 """What may be wrong with this drone, and with the pads of its team: the components of the posterior.
 
 A component states the own heading's error, whether the own path is turned with it, how far the own start is off, and
-who stands on whose pad. Within it the heading is Gaussian around the component's, and starts are Gaussian around theirs.
-Single faults are worked out finely, two at once coarsely. In a component nobody's track is tied to anybody yet.
+who stands on whose pad. Within it the heading is Gaussian around the component's, and starts are around theirs.
+Single faults are worked out finely, two at once coarsely. A component says nothing about tracks.
 """
 
 from __future__ import annotations
@@ -42,14 +42,14 @@ Permutation = tuple[tuple[int, int], ...]
 """Who stands on whose pad, by drone; empty: each on its own."""
 
 
-class Path(enum.IntEnum):
+class PathTurn(enum.IntEnum):
     """What a heading that is off turns besides the rays."""
 
-    TRUE = 0
+    NONE = 0
     """Nothing: a receiver carries the place, of everybody."""
-    TURNED = 1
+    OWN = 1
     """The own path, because the autopilot integrates along its heading."""
-    TEAM_TURNED = 2
+    TEAM = 2
     """All paths of the team, as much as the own."""
 
 
@@ -62,7 +62,7 @@ class Component:
 
     heading: float
     sigma: float
-    path: Path
+    path: PathTurn
     shift: tuple[float, float]
     ring: float
     pads: Permutation
@@ -75,13 +75,13 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
     headings = _headings(HEADING_CELL_RAD, HEADING_CELL_SIGMA_RAD, P_HEADING_OFF)
     rings = [ring for radius in START_RINGS_M for ring in _ring(radius, len(START_RINGS_M))]
     permutations = [
-        Component(0.0, HEADING_CELL_SIGMA_RAD, Path.TRUE, (0.0, 0.0), 0.0, pads, prior)
+        Component(0.0, HEADING_CELL_SIGMA_RAD, PathTurn.NONE, (0.0, 0.0), 0.0, pads, prior)
         for pads, prior in _permutations(pads)
     ]
     coarse = [
         one
         for one in _headings(COUPLED_HEADING_CELL_RAD, COUPLED_HEADING_SIGMA_RAD, P_HEADING_OFF)
-        if one.path is not Path.TEAM_TURNED
+        if one.path is not PathTurn.TEAM
     ]
     seconds = [*_ring(COUPLED_START_RING_M, 1), *permutations]
     coupled = [
@@ -90,21 +90,21 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
         for s in seconds
     ]
     coupled += [
-        Component(0.0, p.sigma, Path.TRUE, r.shift, r.ring, p.pads, p.prior * r.prior)
+        Component(0.0, p.sigma, PathTurn.NONE, r.shift, r.ring, p.pads, p.prior * r.prior)
         for p in permutations
         for r in _ring(COUPLED_START_RING_M, 1)
     ]
     loose = [
         dataclasses.replace(one, prior=one.prior * P_STARTS_LOOSE / P_START_OFF, loose=True) for one in rings
     ]
-    nominal = Component(0.0, HEADING_CELL_SIGMA_RAD, Path.TRUE, (0.0, 0.0), 0.0, (), 0.0)
+    nominal = Component(0.0, HEADING_CELL_SIGMA_RAD, PathTurn.NONE, (0.0, 0.0), 0.0, (), 0.0)
     return [nominal, *headings, *rings, *loose, *permutations, *coupled]
 
 
 def _headings(cell: float, sigma: float, prior: float) -> list[Component]:
     count = round(2.0 * math.pi / cell)
     angles = [math.remainder(k * cell, 2.0 * math.pi) for k in range(1, count)]
-    shares = {Path.TRUE: P_PATH_TRUE, Path.TURNED: P_PATH_TURNED, Path.TEAM_TURNED: P_TEAM_TURNED}
+    shares = {PathTurn.NONE: P_PATH_TRUE, PathTurn.OWN: P_PATH_TURNED, PathTurn.TEAM: P_TEAM_TURNED}
     return [
         Component(angle, sigma, path, (0.0, 0.0), 0.0, (), prior * share / len(angles))
         for angle in angles
@@ -119,7 +119,7 @@ def _ring(radius: float, rings: int) -> list[Component]:
         Component(
             0.0,
             HEADING_CELL_SIGMA_RAD,
-            Path.TRUE,
+            PathTurn.NONE,
             (radius * math.cos(b), radius * math.sin(b)),
             radius,
             (),
@@ -132,25 +132,31 @@ def _ring(radius: float, rings: int) -> list[Component]:
 def _permutations(pads: Mapping[int, Array]) -> list[tuple[Permutation, float]]:
     """With their priors: two drones on each other's pads, or everybody on the next one's, in the order of IDs."""
     ids = sorted(pads)
-    near = {
-        i: sorted((j for j in ids if j != i), key=lambda j, i=i: float(np.linalg.norm(pads[i] - pads[j])))
-        for i in ids
-    }
+    near = {i: _by_distance(i, pads) for i in ids}
     found: list[Permutation] = [
         ((i, j), (j, i))
         for i, j in combinations(ids, 2)
         if j in near[i][:PADS_SWAPPED_WITH] or i in near[j][:PADS_SWAPPED_WITH]
     ]
     if len(ids) > 2:
-        found += [tuple(zip(ids, ids[1:] + ids[:1], strict=True)), tuple(zip(ids, ids[-1:] + ids[:-1], strict=True))]
+        found += [
+            tuple(zip(ids, ids[1:] + ids[:1], strict=True)),
+            tuple(zip(ids, ids[-1:] + ids[:-1], strict=True)),
+        ]
     return [(one, P_PADS_PERMUTED / len(found)) for one in found]
+
+
+def _by_distance(drone_id: int, pads: Mapping[int, Array]) -> list[int]:
+    """The others, the nearest pad first."""
+    away = {other: float(np.linalg.norm(pads[drone_id] - pad)) for other, pad in pads.items()}
+    return sorted(away.keys() - {drone_id}, key=away.__getitem__)
 
 
 class OwnErrors:
     """The components as arrays of k rows.
 
     heading, sigma (k,) rad; shift (k, 3) m; spread (k,): index into `spreads`, m, of the starts within the component;
-    path (k,): `Path`; mine (k,): whether it is this drone that is wrong, its heading apart;
+    path (k,): `PathTurn`; mine (k,): whether it is this drone that is wrong, its heading apart;
     part (k,): of `SLEEPERS_PARTS`, those that are alike together.
     """
 
@@ -172,8 +178,15 @@ class OwnErrors:
         self.loose = np.array([c.loose for c in each])
         self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
         # The cells that a heading which is not off may be in as well.
-        single = [c.heading != 0.0 and not c.ring and not c.pads and c.path is not Path.TEAM_TURNED for c in each]
+        single = [
+            c.heading != 0.0 and not c.ring and not c.pads and c.path is not PathTurn.TEAM for c in each
+        ]
         self._may_be_right = np.array(single)
+
+    @property
+    def teammates(self) -> int:
+        """How many there are, at least one."""
+        return max(len(self.pads) - 1, 1)
 
     def __len__(self) -> int:
         return len(self.components)
@@ -200,7 +213,7 @@ class OwnErrors:
         return np.asarray(value[rows])
 
     @staticmethod
-    def _key(c: Component) -> tuple[float, float, Path, tuple[float, float], Permutation, bool]:
+    def _key(c: Component) -> tuple[float, float, PathTurn, tuple[float, float], Permutation, bool]:
         return c.heading, c.sigma, c.path, c.shift, c.pads, c.loose
 
     def turned(self, value: Array, angle: float) -> Array:
@@ -210,13 +223,13 @@ class OwnErrors:
         for i, c in enumerate(self.components):
             cell = COUPLED_HEADING_CELL_RAD if self.coupled[i] else HEADING_CELL_RAD
             before = math.remainder(round((c.heading - angle) / cell) * cell, 2.0 * math.pi)
-            path = c.path if before else Path.TRUE
+            path = c.path if before else PathTurn.NONE
             key = self._key(dataclasses.replace(c, heading=before, path=path))
             rows.append(by_key.get(key, i))
         return np.asarray(value[rows])
 
     def stands_at(self, drone_id: int) -> Array:
-        """(k, 3) m: where that drone says that whoever's pad it stands on started."""
+        """(k, 3) m: the stated start of the pad on which that drone stands."""
         return np.array([self.pads[dict(c.pads).get(drone_id, drone_id)] for c in self.components])
 
     def permuted(self, drone_id: int) -> NDArray[np.bool_]:

@@ -7,7 +7,6 @@ none is a ratio or a count. Where nothing else is said, a value was chosen by ha
 
 import math
 
-
 # --- Own errors: one component of the mixture each, beside "as configured". ---
 
 # The own heading is off: uniform over the circle, in cells.
@@ -103,7 +102,8 @@ STRANGER_PARALLAX_SIGMA = 0.4
 # others are seen, those that have none, and strangers in a picture.
 P_TEAMMATE_SEEN, P_TEAMMATE_MISSED, STRANGERS_SEEN = 0.9, 0.3, 0.3
 LOG_SEEN = math.log(P_TEAMMATE_SEEN / P_TEAMMATE_MISSED / STRANGERS_SEEN)
-# The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a quarter.
+# The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a
+# quarter.
 LOG_WEAK = math.log(0.25 / 3.0)
 # A track goes over to another target: at any time; where it meets another; where it comes back after a miss.
 HANDOVER_PER_S, HANDOVER_MET, HANDOVER_MISSED_PER_S = 0.0005, 0.002, 0.01
@@ -131,6 +131,9 @@ P_FAULT_SAID, FAULT_SAID_AFTER_S = 0.75, 0.5
 P_STRANGER = 0.98
 # A track that has no name for so long lets so many drones be asked for their pose, that are as likely as that.
 ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
+
+# A place is the average over so many components, the likeliest.
+PLACE_COMPONENTS = 3
 
 # --- Which components are worked out. ---
 

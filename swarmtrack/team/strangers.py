@@ -28,7 +28,7 @@ _LEAST_WEIGHT = 0.05
 
 
 class StrangerFilters:
-    """Of one track, a filter for each of n distances and each kind. All arrays are (n, KINDS, …)."""
+    """Filters of one track, for n distances and each kind. All arrays are (n, KINDS, …)."""
 
     def __init__(self, n: int) -> None:
         self._direction = np.zeros((n, KINDS, 3))
@@ -65,6 +65,7 @@ class StrangerFilters:
         self,
         columns: NDArray[np.intp],
         bearing: Array,
+        *,
         dt: Array,
         parallax: Array,
         variance: Array,

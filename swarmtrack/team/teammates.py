@@ -14,7 +14,7 @@ from swarmtrack.team.priors import (
     REPORTED_PLACE_SIGMA_M,
     SOMEWHERE_SIGMA_M,
 )
-from swarmtrack.team.reported_path import Report, ReportedPath
+from swarmtrack.team.reported_places import Report, ReportedPlaces
 from swarmtrack.team.track_evidence import fading
 
 # s: so long after the last motion report a place in a report is what tells where it is.
@@ -37,7 +37,7 @@ class Teammate:
     knows_start: bool = True
     """Whether that says anything: if not, it is somewhere around this drone."""
     doubting: bool = False
-    path: ReportedPath = field(default_factory=ReportedPath)
+    path: ReportedPlaces = field(default_factory=ReportedPlaces)
     log_span: float = 0.0
     """ln of its box's larger side over `BOX_SPAN_M`, as learned; and the variance."""
     span_variance: float = BOX_SPAN_SIGMA_LN**2

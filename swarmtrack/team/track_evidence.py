@@ -1,16 +1,17 @@
-"""What the bearings of one track say of every teammate that it may be.
+"""Evidence of one track's bearings for each teammate.
 
-For each teammate the bearings add up to a matrix M (`evidence.py`), to normalisers, and to the predictive densities of a
-stranger (`strangers.py`). All sums fade alike, so what was said since some instant is the sum now less the faded sum of
-then: a segment of a track is nothing but the sum at its begin.
+For each teammate the bearings add up to a matrix M (`evidence.py`), to normalisers, and to the predictive densities of
+a stranger (`strangers.py`). All sums fade alike, so what was said since some instant is the sum now less the faded sum
+of then: a segment of a track is nothing but the sum at its beginning.
 
-A segment is the hypothesis that the track went over to its present target at that instant. What the track said before
-speaks for the own errors in any case, whoever it was then.
+A segment is the hypothesis that the track went over to its present target at that instant. Earlier bearings still count
+for the observer's errors, whichever target they were of.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -22,9 +23,17 @@ from swarmtrack.team.evidence import design
 from swarmtrack.team.priors import (
     BEARINGS_LAST_S,
     BOX_SIZE_SIGMA_LN,
+    HANDOVER_MET,
+    HANDOVER_MISSED_PER_S,
+    HANDOVER_MOST,
+    HANDOVER_PER_S,
     ROUND_S,
+    SEGMENT_AFTER_MISS_S,
+    SEGMENT_LEAST_S,
+    SEGMENT_MISSED_S,
     SEGMENTS_KEPT,
     STRANGER_DISTANCE_RANGE_LN,
+    TRACKS_MEET_PX,
 )
 from swarmtrack.team.strangers import KINDS, StrangerFilters
 
@@ -39,7 +48,7 @@ _LEAST_WEIGHT = 0.05
 
 
 class Bearing(NamedTuple):
-    """Of a track in one scan: t [s]; camera (3,) m, team frame; direction (3,), unit vector in the axes of the own
+    """A track in one scan: t [s]; camera (3,) m, team frame; direction (3,), unit vector in the axes of the own
     rays; variance rad²; distance [m] at which a box of `BOX_SPAN_M` looks as large; weak: of a track that is not
     confirmed yet."""
 
@@ -52,7 +61,7 @@ class Bearing(NamedTuple):
 
 
 @dataclass(slots=True)
-class Segment:
+class TrackSegment:
     """since [s]; before (n, …): the sums then, None for the first; log_handover: log prior that it began there; base
     (k,): log evidence of all that was before, by component."""
 
@@ -63,13 +72,37 @@ class Segment:
     weight: float = 1.0
 
 
+class Compared(NamedTuple):
+    """m teammates at the time of a bearing.
+
+    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started, and sigma (m,) m;
+    log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance.
+    """
+
+    columns: NDArray[np.intp]
+    place: Array
+    sigma: Array
+    log_span: Array
+    span_variance: Array
+
+    def only(self, chosen: NDArray[np.bool_]) -> Compared:
+        """Those of them."""
+        return Compared(
+            self.columns[chosen],
+            self.place[chosen],
+            self.sigma[chosen],
+            self.log_span[chosen],
+            self.span_variance[chosen],
+        )
+
+
 class Told(NamedTuple):
     """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), and whether there
     was any bearing (n,)."""
 
     M: Array
     log: Array
-    known: Array
+    known: NDArray[np.bool_]
 
 
 def fading(dt: float) -> float:
@@ -83,18 +116,22 @@ class TrackEvidence:
 
     n: int
     camera: int
-    segments: list[Segment] = field(default_factory=lambda: [Segment(-math.inf)])
+    segments: list[TrackSegment] = field(default_factory=lambda: [TrackSegment(-math.inf)])
     t: float = -math.inf
     sum: Array = field(init=False)
     size: Array = field(init=False)
     """(n, 8, 8): of the last box's size."""
     size_log: Array = field(init=False)
     strangers: StrangerFilters = field(init=False)
-    begun: float = math.nan
+    begun: bool = False
+    """Whether there was any bearing."""
+    whole: Array | None = None
+    """(k,) by component: log evidence of all bearings, whoever it is."""
     weak: bool = False
     """Whether the tracker has not confirmed it yet."""
-    hazard: float = 0.0
+    _hazard: float = 0.0
     """The probability that it went over to another target and no segment began."""
+    _begun_t: float = math.nan
     _at: Array = field(init=False)
     """(n,) s: the last bearing of each."""
     _camera_at: Array = field(init=False)
@@ -163,44 +200,35 @@ class TrackEvidence:
             self.sum *= fading(t - self.t) if math.isfinite(self.t) else 1.0
             self.t = t
 
-    def add(
-        self,
-        bearing: Bearing,
-        columns: NDArray[np.intp],
-        place: Array,
-        own_way: Array,
-        place_sigma: Array,
-        log_span: Array,
-        span_variance: Array,
-    ) -> None:
-        """Compare a bearing with some teammates; it may be a second or two old.
-
-        place (m, 3) m: of each then, from where it says it started; own_way (3,) m: of the camera, from the own start;
-        place_sigma (m,) m; log_span, span_variance (m,): its size as a share of `BOX_SPAN_M`, ln, and its variance.
-        """
+    def add(self, bearing: Bearing, mates: Compared, own_way: Array) -> None:
+        """Compare a bearing with some teammates; it may be a second or two old. own_way (3,) m: of the camera, from the
+        own start."""
         self.fade(bearing.t)
-        j = columns
-        dt = bearing.t - self._at[j]
-        weight = np.clip(dt / ROUND_S, 0.0, 1.0)
-        counts = weight > _LEAST_WEIGHT
+        self.begun, self.weak = True, bearing.weak
+        since = bearing.t - self._at[mates.columns]
+        counts = np.clip(since / ROUND_S, 0.0, 1.0) > _LEAST_WEIGHT
         if not counts.any():
             return
-        j, dt, weight, place = j[counts], dt[counts], weight[counts], place[counts]
-        place_sigma, log_span = place_sigma[counts], log_span[counts]
-        rho = np.full(len(j), bearing.distance)
-        across = bearing.variance * rho**2 + place_sigma**2
-        G = design(place, own_way)
+        mates, since = mates.only(counts), since[counts]
+        j, weight, first = mates.columns, np.minimum(since / ROUND_S, 1.0), ~np.isfinite(since)
+        rho = bearing.distance
+        across = bearing.variance * rho**2 + mates.sigma**2
+        G = design(mates.place, own_way)
         along = bearing.direction @ G
-        M = (G.swapaxes(1, 2) @ G - along[:, :, None] * along[:, None, :]) / across[:, None, None]
         said = np.empty((len(j), _WIDTH))
-        said[:, _M] = M.reshape(-1, 64)
-        said[:, _LOG] = 2.0 * np.log(rho) - np.log(2.0 * math.pi * across)
+        M = G.swapaxes(1, 2) @ G - along[:, :, None] * along[:, None, :]
+        said[:, _M] = (M / across[:, None, None]).reshape(-1, 64)
+        said[:, _LOG] = 2.0 * math.log(rho) - np.log(2.0 * math.pi * across)
         said[:, _COUNT] = 1.0
-        first = ~np.isfinite(dt)
         moved = np.where(first[:, None], 0.0, bearing.camera - self._camera_at[j])
-        parallax = -(moved - (moved @ bearing.direction)[:, None] * bearing.direction) / rho[:, None]
         said[:, _STRANGER] = self.strangers.predict_and_update(
-            j, bearing.direction, np.where(first, 0.0, dt), parallax, across / rho**2, rho, weight
+            j,
+            bearing.direction,
+            dt=np.where(first, 0.0, since),
+            parallax=-(moved - (moved @ bearing.direction)[:, None] * bearing.direction) / rho,
+            variance=across / rho**2,
+            distance=np.full(len(j), rho),
+            weight=weight,
         )
         said *= weight[:, None]
         self.sum[j] += said
@@ -208,11 +236,12 @@ class TrackEvidence:
             if segment.before is not None and bearing.t < segment.since:
                 segment.before[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
-        self._add_size(j, along, bearing.distance * np.exp(log_span), span_variance[counts] + BOX_SIZE_SIGMA_LN**2)
-        if math.isnan(self.begun):
-            self.begun = bearing.t
+        variance = mates.span_variance + BOX_SIZE_SIGMA_LN**2
+        self._add_size(j, along, rho * np.exp(mates.log_span), variance)
+        if math.isnan(self._begun_t):
+            self._begun_t = bearing.t
 
-    def _add_size(self, j: Array, along: Array, rho: Array, variance: Array) -> None:
+    def _add_size(self, j: NDArray[np.intp], along: Array, rho: Array, variance: Array) -> None:
         """A box says how far its drone is, once it has settled; of many, all err alike, and one counts."""
         settled = (self.sum[j, _COUNT] > 0.9) & (self.size_log[j] == 0.0)
         j, along, rho, variance = j[settled], along[settled], rho[settled], variance[settled]
@@ -221,14 +250,47 @@ class TrackEvidence:
         self.size[j] = residual[:, :, None] * residual[:, None, :] / (variance * rho**2)[:, None, None]
         self.size_log[j] = math.log(STRANGER_DISTANCE_RANGE_LN) - 0.5 * np.log(2.0 * math.pi * variance)
 
+    # --- segments ---
+
+    @property
+    def is_whole(self) -> NDArray[np.bool_]:
+        """(s,): the segments that begin with the track."""
+        return np.array([segment.before is None for segment in self.segments])
+
+    @property
+    def likeliest_segment(self) -> int:
+        """Its index."""
+        return max(range(len(self.segments)), key=lambda s: self.segments[s].weight)
+
+    def watch(self, t: float, passed: float, missed: float, gap_px: float) -> None:
+        """It was detected at t, so many s after the last scan, `missed` s after it was missed first, and gap_px from
+        the next track: it may have gone over to another target."""
+        if self.whole is None:
+            return
+        self._hazard += HANDOVER_PER_S * passed + HANDOVER_MISSED_PER_S * missed
+        self._hazard += HANDOVER_MET if gap_px < TRACKS_MEET_PX else 0.0
+        newest = self.segments[-1].since
+        age = t - (newest if math.isfinite(newest) else self._begun_t)
+        is_back = missed > SEGMENT_MISSED_S and age > SEGMENT_AFTER_MISS_S
+        if age >= SEGMENT_LEAST_S or is_back:
+            log_handover = math.log(min(self._hazard, HANDOVER_MOST))
+            self._hazard = 0.0
+            self.begin_segment(t, log_handover, self.whole.copy())
+
     def begin_segment(self, t: float, log_handover: float, base: Array) -> None:
-        """From t on it may be another; base (k,): log evidence of all until then."""
+        """From t on it may be another; base (k,): log evidence of all until then. Of too many segments the least likely
+        is dropped."""
         self.fade(t)
-        self.segments.append(Segment(t, self.sum.copy(), log_handover, base))
-        later = range(len(self.segments) - 1)
-        if len(self.segments) > SEGMENTS_KEPT + 1:
-            dropped = min(later, key=lambda s: self.segments[s].weight)
-            del self.segments[dropped]
+        if len(self.segments) > SEGMENTS_KEPT:
+            del self.segments[min(range(len(self.segments)), key=lambda s: self.segments[s].weight)]
+        self.segments.append(TrackSegment(t, self.sum.copy(), log_handover, base))
+
+    def weigh_segments(self, weight: Array) -> None:
+        """weight (s,): how likely it is that the present target is that since then."""
+        for segment, one in zip(self.segments, weight.tolist(), strict=True):
+            segment.weight = one
+
+    # --- what is said ---
 
     def told(self, t: float) -> Told:
         """What bearings say at t of each segment and teammate."""
@@ -239,12 +301,28 @@ class TrackEvidence:
         sums = np.array(since)
         M = sums[..., _M].reshape(*sums.shape[:2], 8, 8) + self.size
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
-        whole = np.array([s.before is None for s in self.segments])[:, None]
-        log = sums[..., _LOG] + whole * self.size_log - stranger
+        log = sums[..., _LOG] + self.is_whole[:, None] * self.size_log - stranger
         return Told(M, log, self.compared)
 
-    def base(self, segment: Segment, k: int, t: float) -> Array:
-        """(k,) log evidence of all before a segment, with its prior."""
-        if segment.base is None:
-            return np.full(k, segment.log_handover)
-        return np.asarray(segment.log_handover + fading(t - segment.since) * segment.base)
+    def bases(self, k: int, t: float) -> Array:
+        """(s, k): log evidence of all before each segment, with its prior."""
+        return np.array(
+            [
+                np.full(k, s.log_handover) + (0.0 if s.base is None else fading(t - s.since) * s.base)
+                for s in self.segments
+            ]
+        )
+
+    def learn(self, whole: Array, used: NDArray[np.intp], k: int) -> None:
+        """whole (len(used),): log evidence of all bearings by the components used, of k."""
+        if self.whole is None:
+            self.whole = np.zeros(k)
+        self.whole[used] = whole
+
+    def map_components(self, mapped: Callable[[Array], Array]) -> None:
+        """The components are others now: mapped takes (k,) of theirs to (k',)."""
+        if self.whole is not None:
+            self.whole = mapped(self.whole)
+        for segment in self.segments:
+            if segment.base is not None:
+                segment.base = mapped(segment.base)

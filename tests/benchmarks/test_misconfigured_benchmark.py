@@ -18,6 +18,16 @@ def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(mo
     assert report.table_of(misconfigured.BENCH.columns, [row]).endswith("| – | 0 of 0 | –, – | 0 |")
 
 
+def test_one_posterior_names_drones_on_each_others_pads_and_they_say_so(monkeypatch):
+    monkeypatch.setitem(misconfigured.SECONDS, "crossing", 12.0)
+    row = ROWS["pads, moved on by one"]
+    flight = misconfigured.fly(row, "crossing", 0.1, "mbm", 1, model="joint")
+    assert flight.score.wrong == 0.0
+    assert flight.later.correct > 0.97
+    assert sorted(flight.said_after) == [1, 2, 3, 4]
+    assert max(flight.said_after.values()) < 2.0
+
+
 @pytest.mark.long("20 s, until those that look to the other side have found out")
 def test_a_team_that_looks_to_the_other_side_names_hardly_anybody_wrongly_and_never_surely():
     flight = misconfigured.fly(ROWS["compass, all 180°"], "crossing", 0.1, "mbm", 1, share_hz=7.0)

@@ -42,7 +42,7 @@ LAYERS: list[set[str]] = [
 ]
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
 CORE = {
-    "errors", "messages", "plain_text", "geometry", "motion", "tracking", "identity", "relative", "formation",
+    "errors", "messages", "plain_text", "geometry", "motion", "tracking", "identity", "relative", "team", "formation",
     "onboard", "perceived", "follower",
 }  # fmt: skip
 # What judges and says, and touches nothing: facts in, sentences out.

@@ -67,10 +67,19 @@ class Observer:
 
     def is_told(self, drone_id, pixel, boot="0000000a", metres=8.0, sigma=0.1):
         """The drone reports whom it sees, and with it where it is, ± sigma m."""
+        self.is_told_at(drone_id, at(pixel, metres), boot, sigma)
+
+    def is_told_at(self, drone_id, place, boot="0000000a", sigma=0.1):
+        """The same with the place (3,) m, team frame."""
         self.reports += 1
         self.identities.on_report(
-            SightingReport(drone_id, boot, self.reports, self.t, 0.0, at(pixel, metres), sigma, (), ())
+            SightingReport(drone_id, boot, self.reports, self.t, 0.0, place, sigma, (), ())
         )
+
+    def pixel_of(self, place, heading):
+        """Where a camera at the origin that looks along that heading [rad] sees a place (3,) m of the team frame."""
+        x, y, z = rotation.from_euler(0.0, 0.0, heading).T @ place
+        return (320.0 + 430.0 * y / x, 240.0 + 430.0 * z / x)
 
     def stands_still(self, drone_id, boot="0000000a"):
         """The drone says that it does not move."""

@@ -8,7 +8,7 @@ from scipy.stats import multivariate_normal
 
 from swarmtrack.geometry import rotation
 from swarmtrack.team.evidence import Marginal, TeammatePrior, design, turned_back
-from swarmtrack.team.own_errors import OwnErrors, Path
+from swarmtrack.team.own_errors import OwnErrors, PathTurn
 from swarmtrack.team.priors import (
     P_TEAMMATE_HEADING_OFF,
     P_TEAMMATE_START_OFF,
@@ -68,8 +68,8 @@ def drawn(found, k, cov, heading_sigma, chance, draws=2000):
     across = []
     for epsilon, delta in chance.normal(0.0, 1.0, (draws, 2)) * [sigma, TEAMMATE_HEADING_SIGMA_RAD]:
         psi = c.heading + epsilon
-        theta = delta + (0.0 if c.path is Path.TEAM_TURNED else -psi)
-        phi = -psi if c.path is Path.TRUE else 0.0
+        theta = delta + (0.0 if c.path is PathTurn.TEAM else -psi)
+        phi = -psi if c.path is PathTurn.NONE else 0.0
         q = rotation.from_euler(0.0, 0.0, -psi) @ apart
         mate, own = rotation.from_euler(0.0, 0.0, theta), rotation.from_euler(0.0, 0.0, phi)
         across.append(np.einsum("bij,bj->bi", planes, places @ mate.T - ways @ own.T + q).ravel())
@@ -81,12 +81,15 @@ def drawn(found, k, cov, heading_sigma, chance, draws=2000):
 
 
 @pytest.mark.parametrize(
-    "wanted, heading",
+    ("wanted", "heading"),
     [
         ({"heading": 0.0, "ring": 0.0, "pads": ()}, 0.0),
-        ({"heading": math.radians(30.0), "path": Path.TRUE, "ring": 0.0, "pads": ()}, math.radians(31.0)),
-        ({"heading": math.radians(-12.0), "path": Path.TURNED, "ring": 0.0, "pads": ()}, math.radians(-12.0)),
-        ({"heading": math.radians(6.0), "path": Path.TEAM_TURNED}, 0.0),
+        ({"heading": math.radians(30.0), "path": PathTurn.NONE, "ring": 0.0, "pads": ()}, math.radians(31.0)),
+        (
+            {"heading": math.radians(-12.0), "path": PathTurn.OWN, "ring": 0.0, "pads": ()},
+            math.radians(-12.0),
+        ),
+        ({"heading": math.radians(6.0), "path": PathTurn.TEAM}, 0.0),
         ({"ring": 1.5, "loose": False}, 0.0),
         ({"pads": ((1, 2), (2, 1)), "heading": 0.0, "ring": 0.0}, 0.0),
     ],
@@ -98,7 +101,10 @@ def test_each_component_is_the_integral_over_starts_and_headings(wanted, heading
     prior = TeammatePrior.of(MATE, ERRORS)
     level = np.diag([1.0, 1.0, 0.2**2])
     parts = [
-        math.log(p) + drawn(found, k, COV + (off**2 + ERRORS.spreads[ERRORS.spread[k]] ** 2) * level, heading_sigma, chance)
+        math.log(p)
+        + drawn(
+            found, k, COV + (off**2 + ERRORS.spreads[ERRORS.spread[k]] ** 2) * level, heading_sigma, chance
+        )
         for p, off in zip(
             (1.0 - sum(P_TEAMMATE_START_OFF) - P_TEAMMATE_HEADING_OFF, *P_TEAMMATE_START_OFF),
             (0.0, 0.5, 2.5),
@@ -139,7 +145,14 @@ def test_places_follow_what_the_teammate_says():
     place, way = np.array([1.0, -2.0, 0.5]), np.array([-1.0, 0.5, 0.0])
     prior = TeammatePrior.of(MATE, ERRORS)
     best = max(
-        marginal.places(M, design(place[None], way)[0], prior, ERRORS, 0, math.radians(3.0)),
+        marginal.places(
+            M,
+            design(place[None], way)[0],
+            prior=prior,
+            errors=ERRORS,
+            k=0,
+            heading_sigma=math.radians(3.0),
+        ),
         key=lambda one: one.log_share,
     )
     true = PADS[MATE] + place - PADS[OWN] - way

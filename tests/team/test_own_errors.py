@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.team.own_errors import OwnErrors, Path
+from swarmtrack.team.own_errors import OwnErrors, PathTurn
 
 PADS = {drone: np.array([3.0 * drone, drone % 2, -1.0]) for drone in (1, 2, 3, 4)}
 
@@ -15,14 +15,16 @@ def test_priors_add_up_to_one(heading_deg):
     log_prior, off = OwnErrors(1, PADS).log_prior(math.radians(heading_deg))
     # The cells of a wide heading are cut off where another fault has all of the prior.
     assert np.exp(log_prior).sum() == pytest.approx(1.0, abs=1e-3)
-    assert (off >= 0.0).all() and (off <= 1.0).all()
+    assert off.min() >= 0.0
+    assert off.max() <= 1.0
 
 
 def test_as_configured_is_first_and_no_fault():
     errors = OwnErrors(1, PADS)
     log_prior, off = errors.log_prior(math.radians(2.0))
     assert int(log_prior.argmax()) == 0
-    assert off[0] == 0.0 and not errors.mine[0]
+    assert off[0] == 0.0
+    assert not errors.mine[0]
 
 
 def test_a_heading_that_is_off_is_a_fault_unless_the_autopilot_knows_no_better():
@@ -30,7 +32,8 @@ def test_a_heading_that_is_off_is_a_fault_unless_the_autopilot_knows_no_better()
     k = next(k for k, c in enumerate(errors.components) if c.heading == pytest.approx(math.radians(12.0)))
     _, sure = errors.log_prior(math.radians(2.0))
     _, vague = errors.log_prior(math.radians(12.0))
-    assert sure[k] > 0.99 > 0.1 > vague[k]
+    assert sure[k] > 0.99
+    assert vague[k] < 0.1
 
 
 def test_two_on_each_others_pads_stand_where_the_other_says():
@@ -39,7 +42,9 @@ def test_two_on_each_others_pads_stand_where_the_other_says():
     assert errors.stands_at(1)[k].tolist() == PADS[2].tolist()
     assert errors.stands_at(2)[k].tolist() == PADS[1].tolist()
     assert errors.stands_at(3)[k].tolist() == PADS[3].tolist()
-    assert errors.mine[k] and errors.permuted(2)[k] and not errors.permuted(3)[k]
+    assert errors.mine[k]
+    assert errors.permuted(2)[k]
+    assert not errors.permuted(3)[k]
 
 
 def test_in_a_large_team_only_neighbours_swap():
@@ -65,7 +70,7 @@ def test_a_step_of_the_heading_moves_what_was_learned_to_the_next_cells():
     errors = OwnErrors(1, PADS)
     value = np.zeros(len(errors))
 
-    def of(degrees, path=Path.TURNED):
+    def of(degrees, path=PathTurn.OWN):
         return next(
             k
             for k, c in enumerate(errors.components)

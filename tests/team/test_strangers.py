@@ -18,11 +18,11 @@ def densities(directions, columns=1):
             filters.predict_and_update(
                 np.arange(columns),
                 d / np.linalg.norm(d),
-                STEP_S * ones * (k > 0),
-                np.zeros((columns, 3)),
-                VARIANCE * ones,
-                DISTANCE * ones,
-                ones,
+                dt=STEP_S * ones * (k > 0),
+                parallax=np.zeros((columns, 3)),
+                variance=VARIANCE * ones,
+                distance=DISTANCE * ones,
+                weight=ones,
             )
             for k, d in enumerate(directions)
         ]
@@ -60,8 +60,15 @@ def test_filters_turn_along():
 
     def see(direction, k):
         unit = direction / np.linalg.norm(direction)
-        args = (STEP_S * one * (k > 0), np.zeros((1, 3)), VARIANCE * one, DISTANCE * one, one)
-        return filters.predict_and_update(np.array([0]), unit, *args)
+        return filters.predict_and_update(
+            np.array([0]),
+            unit,
+            dt=STEP_S * one * (k > 0),
+            parallax=np.zeros((1, 3)),
+            variance=VARIANCE * one,
+            distance=DISTANCE * one,
+            weight=one,
+        )
 
     for k, look in enumerate(looks[:-1]):
         see(look, k)

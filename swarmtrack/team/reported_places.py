@@ -37,7 +37,7 @@ class Report(NamedTuple):
     velocity: Array | None
 
 
-class ReportedPath:
+class ReportedPlaces:
     """Grows by every report, in the order in which they were made."""
 
     def __init__(self) -> None:

@@ -4,20 +4,22 @@ import numpy as np
 import pytest
 
 from swarmtrack.team.priors import REPORTED_PLACE_SIGMA_M
-from swarmtrack.team.reported_path import Report, ReportedPath
+from swarmtrack.team.reported_places import Report, ReportedPlaces
 
 
 def path(*reports):
-    made = ReportedPath()
+    made = ReportedPlaces()
     for t, x, velocity in reports:
-        made.append(Report(t, np.array([x, 0.0, 0.0]), None if velocity is None else np.array([velocity, 0.0, 0.0])))
+        made.append(
+            Report(t, np.array([x, 0.0, 0.0]), None if velocity is None else np.array([velocity, 0.0, 0.0]))
+        )
     return made
 
 
 def test_nothing_was_said():
-    assert not ReportedPath()
+    assert not ReportedPlaces()
     with pytest.raises(IndexError):
-        _ = ReportedPath().last
+        _ = ReportedPlaces().last
 
 
 def test_between_two_reports_it_is_on_the_line():

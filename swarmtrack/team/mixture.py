@@ -1,0 +1,238 @@
+"""The weights of the components, and by each of them which track is which teammate.
+
+By component, each pair of a track and a teammate has a ratio: of all bearings if the track is the teammate, over those
+of a stranger. The weight of a component is its prior times the weight of all one-to-one matchings; what is said of
+tracks is the average over components. What ended tracks said of the components stays, and fades slowly.
+
+Components without weight sleep, and are looked at again in turn: more of them while anything is doubtful.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.team.evidence import Marginal, TeammatePrior
+from swarmtrack.team.own_errors import OwnErrors
+from swarmtrack.team.priors import (
+    DOUBTING_PADS_RATIO,
+    HEADING_LEAST_SIGMA_RAD,
+    LOG_RATIO_LEAST,
+    LOG_RATIO_MOST,
+    LOG_SEEN,
+    LOG_SLEEPS,
+    LOG_WEAK,
+    OWN_ERRORS_LAST_S,
+    P_SETTLED,
+    PLACE_COMPONENTS,
+    SLEEPERS_PARTS,
+    SLEEPERS_PARTS_DOUBTFUL,
+    START_LEAST_SIGMA_M,
+)
+from swarmtrack.team.teammates import Teammate
+from swarmtrack.team.track_evidence import Told, TrackEvidence
+from swarmtrack.tracking.marginals_of_each import matched_of_each
+
+
+class OwnKnowledge(NamedTuple):
+    """How well this drone knows its start, m per axis, and its heading [rad], by what it was told."""
+
+    start_sigma_m: float
+    heading_sigma: float = HEADING_LEAST_SIGMA_RAD
+
+
+class JointMixture:
+    """`weight` (k,) of the components, and `p_fault`, the probability that the own heading or start is wrong."""
+
+    def __init__(self, own: int) -> None:
+        """own: our ID."""
+        self.errors = OwnErrors(own, {own: np.zeros(3)})
+        self.p_fault = 0.0
+        self._priors: dict[int, TeammatePrior] = {}
+        self._told = np.zeros(len(self.errors))
+        self._told_t = 0.0
+        self._begin()
+
+    def _begin(self) -> None:
+        """All components are awake."""
+        self.weight = np.zeros(len(self.errors))
+        self._log_weight = np.zeros(len(self.errors))
+        self._part = 0
+        self._is_settled = False
+
+    def set_team(self, pads: Mapping[int, Array], tracks: Sequence[TrackEvidence]) -> None:
+        """pads (3,) m: by drone, ours too, where each says that it started. What was learned goes over."""
+        before, own = self.errors, self.errors.own
+        self.errors = OwnErrors(own, pads)
+        self._told = self.errors.mapped_from(before, self._told)
+        for track in tracks:
+            track.map_components(lambda value: self.errors.mapped_from(before, value))
+        self._priors = {drone: TeammatePrior.of(drone, self.errors) for drone in pads if drone != own}
+        self._begin()
+
+    def turn(self, angle: float, tracks: Sequence[TrackEvidence]) -> None:
+        """The own heading has stepped by angle [rad], clockwise from above."""
+        self._told = self.errors.turned(self._told, angle)
+        for track in tracks:
+            track.map_components(lambda value: self.errors.turned(value, angle))
+        self._begin()
+
+    def keep(self, told: Array, t: float) -> None:
+        """A track has ended that said this of the components: log evidence (k,)."""
+        self._told, self._told_t = self._told_at(t) + told - told.max(), t
+
+    def _told_at(self, t: float) -> Array:
+        return math.exp(-(t - self._told_t) / OWN_ERRORS_LAST_S) * self._told
+
+    # --- who is who ---
+
+    def weigh(
+        self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], t: float, known: OwnKnowledge
+    ) -> Array:
+        """(n, m): the probability that each track is each teammate. Each track remembers what it says of the
+        components, and the weights of its segments."""
+        used = self._awake()
+        log_prior, off = self.errors.log_prior(known.heading_sigma)
+        log_w = log_prior[used] + self._told_at(t)[used]
+        base = [track.bases(len(self.errors), t)[:, used] for track in tracks]
+        each = [np.full((*b.shape, len(mates)), -np.inf) for b in base]
+        told = [track.told(t) for track in tracks]
+        for c, mate in enumerate(mates):
+            log_w = log_w + self._of_teammate(c, mate, tracks, told, each, used=used, t=t, known=known)
+        nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
+        log_w = log_w + sum(nobody, np.zeros(len(used)))
+        ratio = np.array(
+            [
+                np.logaddexp.reduce(b[:, :, None] + e, axis=0) - none[:, None]
+                for b, e, none in zip(base, each, nobody, strict=True)
+            ]
+        ).reshape(len(tracks), len(used), len(mates))
+        kept, P = self._match(np.minimum(ratio.swapaxes(0, 1), LOG_RATIO_MOST), log_w, used)
+        self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
+        for track, b, e, none, r in zip(tracks, base, each, nobody, ratio, strict=True):
+            whole = none + np.logaddexp(0.0, np.logaddexp.reduce(r, axis=1))
+            track.learn(whole, used, len(self.errors))
+            alone = b + np.logaddexp(0.0, np.logaddexp.reduce(e, axis=2)) - whole
+            track.weigh_segments(np.exp(np.minimum(alone[:, kept], 0.0)) @ self.weight[used[kept]])
+        return P
+
+    def _of_teammate(
+        self,
+        c: int,
+        mate: Teammate,
+        tracks: Sequence[TrackEvidence],
+        told: Sequence[Told],
+        each: Sequence[Array],
+        *,
+        used: NDArray[np.intp],
+        t: float,
+        known: OwnKnowledge,
+    ) -> Array:
+        """(k,): what is known of one teammate says of the components used; its log ratios go into column c of `each`,
+        by segment of each track."""
+        new = np.concatenate([np.zeros((1, 8, 8)), *(found.M[:, mate.column] for found in told)])
+        E = self._evidence(mate, mate.told(t) + new, used, known)
+        log_w = E[0] - E[0].max()
+        if mate.doubting:
+            log_w = log_w + math.log(DOUBTING_PADS_RATIO) * self.errors.permuted(mate.drone_id)[used]
+        E = E - E[0]
+        if mate.p_supposed:
+            other = self._evidence(mate, mate.supposed(t) + new, used, known)
+            other = other - other[0]
+            E = np.logaddexp(math.log(1.0 - mate.p_supposed) + E, math.log(mate.p_supposed) + other)
+        at = 1
+        for track, found, into in zip(tracks, told, each, strict=True):
+            segments = len(found.M)
+            if found.known[mate.column]:
+                log = E[at : at + segments] + found.log[:, mate.column, None]
+                log[track.is_whole] += LOG_SEEN + track.weak * LOG_WEAK
+                # Whoever takes over a track may be any of the team.
+                log[~track.is_whole] -= math.log(self.errors.teammates)
+                into[:, :, c] = np.minimum(log, LOG_RATIO_MOST)
+            at += segments
+        return np.asarray(log_w)
+
+    def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
+        """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""
+        return self._marginal(mate, M, known).log_evidence(
+            self._priors[mate.drone_id], self.errors, used, known.heading_sigma
+        )
+
+    def _marginal(self, mate: Teammate, M: Array, known: OwnKnowledge) -> Marginal:
+        cov = mate.start_cov + (known.start_sigma_m**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
+        return Marginal(M, cov, self.errors.spreads, doubting=mate.doubting)
+
+    def _awake(self) -> NDArray[np.intp]:
+        """The components to work out now: those with weight, and a part of the sleepers."""
+        parts = 1 if self._is_settled else SLEEPERS_PARTS_DOUBTFUL
+        looked_at = (self.errors.part - self._part) % SLEEPERS_PARTS < parts
+        self._part = (self._part + parts) % SLEEPERS_PARTS
+        awake = (self._log_weight > LOG_SLEEPS) | looked_at
+        awake[0] = True
+        return np.flatnonzero(awake)
+
+    def _match(
+        self, log_ratio: Array, log_w: Array, used: NDArray[np.intp]
+    ) -> tuple[NDArray[np.intp], Array]:
+        """Match tracks and teammates by each component that may have weight, and weigh these. log_ratio (k, n, m);
+        log_w (k,) without matchings. Returns which of `used` were matched, and the probability (n, m) of each pair."""
+        R = np.where(log_ratio <= LOG_RATIO_LEAST, -np.inf, log_ratio)
+        kept = _worth_matching(R, log_w)
+        found = matched_of_each(R[kept])
+        log_w = log_w[kept] + found.log_total
+        log_w = log_w - log_w.max()
+        weight = np.exp(log_w)
+        weight /= weight.sum()
+        self.weight[:], self._log_weight[:] = 0.0, -np.inf
+        self.weight[used[kept]], self._log_weight[used[kept]] = weight, log_w
+        P = np.tensordot(weight, found.probability, axes=1)
+        none = 1.0 - P.sum(axis=1)
+        sure = np.maximum(P.max(axis=1, initial=0.0), none) > P_SETTLED
+        self._is_settled = bool(weight.max() > P_SETTLED and sure.all())
+        return kept, P
+
+    # --- where they are ---
+
+    def place(
+        self, track: TrackEvidence, mate: Teammate, design: Array, t: float, known: OwnKnowledge
+    ) -> tuple[Array, Array]:
+        """Where a teammate is that is that track: mean (3,) m from the own camera and covariance (3, 3), in the axes of
+        the own rays. design (3, 8): `evidence.design` of where it says that it is."""
+        M = mate.told(t) + track.told(t).M[track.likeliest_segment, mate.column]
+        marginal = self._marginal(mate, M[None], known)
+        log, mean, spread = [], [], []
+        for k in np.argsort(-self.weight)[:PLACE_COMPONENTS].tolist():
+            if self.weight[k] > 0.0:
+                prior = self._priors[mate.drone_id]
+                for one in marginal.places(
+                    M, design, prior=prior, errors=self.errors, k=k, heading_sigma=known.heading_sigma
+                ):
+                    log.append(one.log_share + math.log(self.weight[k]))
+                    mean.append(one.mean)
+                    spread.append(one.cov)
+        w = np.exp(np.array(log) - max(log))
+        w /= w.sum()
+        m = w @ np.array(mean)
+        off = np.array(mean) - m
+        return m, np.einsum("i,iab->ab", w, np.array(spread) + off[:, :, None] * off[:, None, :])
+
+
+def _worth_matching(R: Array, log_w: Array) -> NDArray[np.intp]:
+    """The components that may have weight, by bounds; R (k, n, m) log ratios, log_w (k,) log weights without them."""
+    if not R.size:
+        return np.flatnonzero(log_w > log_w.max() + LOG_SLEEPS)
+    by_row = np.logaddexp(0.0, np.logaddexp.reduce(R, axis=2)).sum(axis=1)
+    by_column = np.logaddexp(0.0, np.logaddexp.reduce(R, axis=1)).sum(axis=1)
+    upper = log_w + np.minimum(by_row, by_column)
+    left, lower, k = R.copy(), log_w.copy(), np.arange(len(R))
+    for _ in range(min(R.shape[1:])):
+        n, m = np.divmod(left.reshape(len(R), -1).argmax(axis=1), R.shape[2])
+        lower += np.maximum(left[k, n, m], 0.0)
+        left[k, n, :] = -np.inf
+        left[k, :, m] = -np.inf
+    return np.flatnonzero(upper > lower.max() + LOG_SLEEPS)

@@ -1,0 +1,132 @@
+"""Drone 1 and its tracks by one posterior: names, strangers, and what is wrong with whom."""
+
+import math
+
+import numpy as np
+import pytest
+
+from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
+from swarmtrack.geometry import rotation
+from swarmtrack.identity.identities import Identities
+from swarmtrack.messages import FOREIGN, IdClash, PeerDeparted, PeerExpelled
+from swarmtrack.team.joint_identities import JointIdentities
+
+NAMED = {"a": 2, "b": 3}
+
+
+@pytest.fixture
+def observer():
+    made = Observer(model="joint")
+    made.hears(2, LEFT)
+    made.hears(3, RIGHT)
+    return made
+
+
+def test_both_models_have_one_face():
+    public = {name for name in vars(Identities) if not name.startswith("_")}
+    assert public - {"self_doubt"} <= set(vars(JointIdentities))
+
+
+def test_drones_are_named_where_they_said_they_are(observer):
+    assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_what_place_alone_says_is_no_certainty(observer):
+    observer.sees(3.0, a=LEFT, b=RIGHT)
+    stated = observer.identities.label(observer.tracks)
+    # Two may stand on each other's pads, and nobody has moved.
+    assert all(0.95 < entry.identity_probability < 0.995 for entry in stated)
+
+
+def test_a_track_where_nobody_should_be_is_a_stranger_after_a_while():
+    observer = Observer(model="joint")
+    observer.hears(2, LEFT)
+    assert observer.sees(0.5, a=LEFT, b=shifted(RIGHT, down=-150)) == {"a": 2, "b": None}
+    assert observer.sees(3.5, a=LEFT, b=shifted(RIGHT, down=-150)) == {"a": 2, "b": FOREIGN}
+
+
+def test_before_anybody_has_announced_itself_nobody_is_anything():
+    assert Observer(model="joint").sees(5.0, a=LEFT, b=RIGHT) == {"a": None, "b": None}
+
+
+def test_a_teammate_that_is_not_confirmed_yet_is_vouched_for(observer):
+    observer.sees(3.0, a=LEFT, b=RIGHT, tentative="b")
+    assert observer.news.vouched == (2,)
+    assert observer.names() == {"a": 2, "b": None}
+    assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_while_two_processes_speak_as_one_drone_no_track_is_it(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.identities.on_membership(IdClash(2, ("0000000a", "0000000b"), ours=False))
+    assert observer.names() == {"a": None, "b": 3}
+    assert observer.sees(5.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}
+    observer.identities.on_membership(PeerDeparted(2, "0000000a"))
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}  # its pose is not known yet
+    assert observer.hears(2, LEFT, boot="0000000b")
+    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_an_expelled_drone_has_no_track(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.identities.on_membership(PeerExpelled(3))
+    assert observer.sees(1.0, a=LEFT, b=RIGHT)["b"] is None
+
+
+def test_a_drone_that_starts_again_elsewhere_is_named_there(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    assert observer.hears(2, MIDDLE, boot="0000000b")
+    assert observer.sees(1.0, a=MIDDLE, b=RIGHT)["a"] == 2
+
+
+def test_of_a_nameless_track_the_likeliest_are_asked_for_their_pose():
+    observer = Observer(model="joint")
+    observer.hears(2, LEFT)
+    observer.hears(3, LEFT)
+    observer.sees(4.0, a=LEFT)
+    assert {drone for _, drone in observer.wanted} == {2, 3}
+
+
+def test_names_outlast_a_heading_that_steps(observer):
+    observer.sees(4.0, a=LEFT, b=RIGHT)
+    step = math.radians(25.0)
+    observer.attitude = rotation.from_euler(0.0, 0.0, step) @ observer.attitude
+    observer.identities.step_heading(observer.t, step)
+    assert observer.sees(2.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+    # The autopilot's heading is off since then, and that is said.
+    observer.sees(4.0, a=LEFT, b=RIGHT)
+    assert observer.identities.self_doubt
+
+
+def test_a_drone_that_has_said_nothing_for_long_keeps_its_track(observer):
+    for _ in range(8):
+        observer.is_told(3, RIGHT)
+        observer.sees(1.0, a=LEFT, b=RIGHT)
+    assert observer.names() == {"a": 2, "b": 3}
+
+
+def test_tracks_are_other_things_after_a_turn_that_nobody_measured(observer):
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.identities.turn_unmeasured()
+    assert observer.sees(SCAN_S, a=RIGHT, b=LEFT) == {"a": 3, "b": 2}
+
+
+def test_a_compass_that_is_off_is_found_by_how_the_others_move():
+    observer = Observer(model="joint")
+    off = math.radians(40.0)
+    places = {2: np.array([8.0, -3.0, 0.0]), 3: np.array([9.0, 3.0, -1.0])}
+    observer.attitude = rotation.from_euler(0.0, 0.0, off)
+    for drone, place in places.items():
+        observer.hears_at(drone, place)
+    for k in range(120):
+        t = SCAN_S * k
+        moved = {
+            2: places[2] + [0.0, 1.5 * math.sin(0.9 * t), 0.8 * math.sin(0.5 * t)],
+            3: places[3] + [1.5 * math.sin(0.7 * t), 0.0, 0.8 * math.cos(0.5 * t) - 0.8],
+        }
+        for drone, place in moved.items() if k % 5 == 0 else ():
+            observer.is_told_at(drone, place)
+        pixels = {name: observer.pixel_of(moved[drone], heading=0.0) for name, drone in NAMED.items()}
+        observer.sees(SCAN_S, **pixels)
+    assert observer.names() == {"a": 2, "b": 3}
+    assert observer.identities.self_doubt
