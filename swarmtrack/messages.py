@@ -342,12 +342,25 @@ class HeadingNews(NamedTuple):
     step: float
 
 
+class OwnFault(NamedTuple):
+    """The likeliest fault of this drone's own pose; what is not at fault is None.
+
+    heading [rad]: the true one less the autopilot's, clockwise from above; start (north, east) m: the true one less the
+    stated one; pad_of: the drone on whose pad this one stands.
+    """
+
+    heading: float | None = None
+    start: tuple[float, float] | None = None
+    pad_of: int | None = None
+
+
 class DoubtNews(NamedTuple):
-    """What this drone sees tells that its own start or heading is wrong, or does so no more: it should announce itself
-    again."""
+    """Whether its sightings contradict this drone's own start or heading, since t [s]: it should announce itself again.
+    fault: the likeliest, where the model of identities says so."""
 
     t: float
     doubted: bool
+    fault: OwnFault | None = None
 
 
 class PoseWanted(NamedTuple):

@@ -407,7 +407,7 @@ class Onboard:
             self._rig.vouch(track_id)
         if self._identities.self_doubt != self.self_doubt:
             self.self_doubt = self._identities.self_doubt
-            self._events.append(DoubtNews(own.t, self.self_doubt))
+            self._events.append(DoubtNews(own.t, self.self_doubt, self._identities.fault))
         # A picture that has been the same for long does not show where anybody is now.
         seen = self._identities.sightings(own.t) if self._stuck.is_live(number, own.t) else []
         self._view = OwnView.of(self._stated(own), self.cameras[number].body_from_camera, seen)

@@ -45,6 +45,7 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     Membership,
     MotionReport,
+    OwnFault,
     PeerExpelled,
     SightingReport,
     Track,
@@ -118,6 +119,11 @@ class Identities:
     def self_doubt(self) -> bool:
         """Whether this drone says that its own start or heading is wrong."""
         return self._self_doubt.said
+
+    @property
+    def fault(self) -> OwnFault | None:
+        """None: these rules do not know what is wrong."""
+        return None
 
     @property
     def has_own_clash(self) -> bool:

@@ -22,6 +22,7 @@ from swarmtrack.messages import (
     HeadingNews,
     IdClash,
     MotionReport,
+    OwnFault,
     PeerArrived,
     PeerDeparted,
     PeerEvent,
@@ -31,6 +32,8 @@ from swarmtrack.messages import (
 )
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
+
+COMPASS_POINTS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
 
 News = (
     PeerEvent
@@ -43,6 +46,20 @@ News = (
     | SeamNews
     | MountingNews
 )
+
+
+def fault_in_words(fault: OwnFault) -> str:
+    """What is probably wrong with this drone's own pose, and by how much."""
+    match fault:
+        case OwnFault(heading=float(heading)):
+            return f"our heading is off by about {abs(math.degrees(heading)):.0f}°"
+        case OwnFault(start=(north, east)):
+            side = COMPASS_POINTS[round(math.atan2(east, north) / (math.pi / 4.0)) % 8]
+            return f"we started about {math.hypot(north, east):.1f} m {side} of the stated start"
+        case OwnFault(pad_of=int(drone_id)):
+            return f"we stand where drone {drone_id} is stated to start"
+        case _:
+            return "cause unknown"
 
 
 def describe(news: News) -> str:
@@ -72,8 +89,9 @@ def describe(news: News) -> str:
             if distance is None:
                 return f"{radio} fits what we see again"
             return f"{radio}, {distance:.1f} m, does not fit what we see and is not used: is it set up for that drone?"
-        case DoubtNews(doubted=True):
-            return f"{SELF_DOUBT}: until they agree, we announce our position as unknown"
+        case DoubtNews(doubted=True, fault=fault):
+            likely = f" ({fault_in_words(fault)})" if fault else ""
+            return f"{SELF_DOUBT}{likely}: until they agree, we announce our position as unknown"
         case DoubtNews():
             return "our start and heading fit what we see again: announced again"
         case Disagreement():

@@ -26,6 +26,7 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     Membership,
     MotionReport,
+    OwnFault,
     SightingReport,
     Track,
     TrackStatus,
@@ -84,6 +85,11 @@ class JointIdentities:
         self._seen: dict[int, LastSeen] = {}
         """By track with a name, its last ray."""
         self._doubt_since: float | None = None
+
+    @property
+    def fault(self) -> OwnFault | None:
+        """The likeliest fault of this drone's own pose, while it doubts it."""
+        return self._posterior.mixture.fault if self.self_doubt else None
 
     @property
     def has_own_clash(self) -> bool:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.messages import Array
+from swarmtrack.messages import Array, OwnFault
 from swarmtrack.team.evidence import Marginal, TeammatePrior
 from swarmtrack.team.own_errors import OwnErrors
 from swarmtrack.team.priors import (
@@ -62,6 +62,7 @@ class JointMixture:
         """All components are awake."""
         self.weight = np.zeros(len(self.errors))
         self._log_weight = np.zeros(len(self.errors))
+        self._p_heading_off = np.zeros(len(self.errors))
         self._part = 0
         self._is_settled = False
 
@@ -114,12 +115,33 @@ class JointMixture:
         ).reshape(len(tracks), len(used), len(mates))
         kept, P = self._match(np.minimum(ratio.swapaxes(0, 1), LOG_RATIO_MOST), log_w, used)
         self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
+        self._p_heading_off = off
         for track, b, e, none, r in zip(tracks, base, each, nobody, ratio, strict=True):
             whole = none + np.logaddexp(0.0, np.logaddexp.reduce(r, axis=1))
             track.learn(whole, used, len(self.errors))
             alone = b + np.logaddexp(0.0, np.logaddexp.reduce(e, axis=2)) - whole
             track.weigh_segments(np.exp(np.minimum(alone[:, kept], 0.0)) @ self.weight[used[kept]])
         return P
+
+    @property
+    def fault(self) -> OwnFault:
+        """The likeliest fault of this drone's own pose, if it has one."""
+        errors, w = self.errors, self.weight
+        by_kind = {
+            "heading": w * self._p_heading_off,
+            "start": w * (errors.ring > 0.0),
+            "pads": w * errors.permuted(errors.own),
+        }
+        kind, w = max(by_kind.items(), key=lambda item: float(item[1].sum()))
+        total = float(w.sum())
+        if not total:
+            return OwnFault()
+        if kind == "heading":
+            return OwnFault(heading=float(np.angle(w @ np.exp(1j * errors.heading))))
+        if kind == "start":
+            north, east, _ = (w @ errors.shift / total).tolist()
+            return OwnFault(start=(north, east))
+        return OwnFault(pad_of=dict(errors.components[int(w.argmax())].pads)[errors.own])
 
     def _of_teammate(
         self,

@@ -55,10 +55,10 @@ class PathTurn(enum.IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Component:
-    """heading [rad]: the autopilot's less the true one, and its sigma within the component; off: whether that is a
-    fault. shift (north, east) m: where the own start is stated less where it is, within ring [m] times
-    `START_RING_SIGMA`; pads: who stands on whose. prior: of its kind of fault. loose: whether
-    all starts of the team are worse than stated."""
+    """heading [rad]: the true one less the autopilot's, and its sigma within the component; off: whether that is a
+    fault. shift (north, east) m: where this drone started less where it says, within ring [m] times `START_RING_SIGMA`;
+    pads: who stands on whose. prior: of its kind of fault. loose: whether all starts of the team are worse than
+    stated."""
 
     heading: float
     sigma: float
@@ -175,6 +175,7 @@ class OwnErrors:
         self.part = np.argsort(np.argsort(self.spread, kind="stable")) * SLEEPERS_PARTS // len(each)
         self._prior = np.array([c.prior for c in each])
         self.coupled = np.array([c.sigma == COUPLED_HEADING_SIGMA_RAD for c in each])
+        self.ring = np.array([c.ring for c in each])
         self.loose = np.array([c.loose for c in each])
         self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
         # The cells that a heading which is not off may be in as well.
@@ -222,7 +223,7 @@ class OwnErrors:
         rows = []
         for i, c in enumerate(self.components):
             cell = COUPLED_HEADING_CELL_RAD if self.coupled[i] else HEADING_CELL_RAD
-            before = math.remainder(round((c.heading - angle) / cell) * cell, 2.0 * math.pi)
+            before = math.remainder(round((c.heading + angle) / cell) * cell, 2.0 * math.pi)
             path = c.path if before else PathTurn.NONE
             key = self._key(dataclasses.replace(c, heading=before, path=path))
             rows.append(by_key.get(key, i))

@@ -20,6 +20,7 @@ from swarmtrack.messages import (
     HeadingNews,
     IdClash,
     MotionReport,
+    OwnFault,
     PeerArrived,
     PeerDeparted,
     PeerExpelled,
@@ -122,6 +123,23 @@ def test_a_teammate_that_floods_fills_no_log_and_what_the_others_do_is_still_tol
             Teamwork.on_doubt,
             DoubtNews(5.0, doubted=True),
             f"{SELF_DOUBT}: until they agree, we announce our position as unknown",
+        ),
+        (
+            Teamwork.on_doubt,
+            DoubtNews(5.0, doubted=True, fault=OwnFault(heading=-0.52)),
+            f"{SELF_DOUBT} (our heading is off by about 30°): until they agree, we announce our position as unknown",
+        ),
+        (
+            Teamwork.on_doubt,
+            DoubtNews(5.0, doubted=True, fault=OwnFault(start=(-2.1, 2.1))),
+            f"{SELF_DOUBT} (we started about 3.0 m southeast of the stated start): until they agree, we announce our "
+            "position as unknown",
+        ),
+        (
+            Teamwork.on_doubt,
+            DoubtNews(5.0, doubted=True, fault=OwnFault(pad_of=2)),
+            f"{SELF_DOUBT} (we stand where drone 2 is stated to start): until they agree, we announce our position as "
+            "unknown",
         ),
         (
             Teamwork.on_doubt,

@@ -130,3 +130,4 @@ def test_a_compass_that_is_off_is_found_by_how_the_others_move():
         observer.sees(SCAN_S, **pixels)
     assert observer.names() == {"a": 2, "b": 3}
     assert observer.identities.self_doubt
+    assert observer.identities.fault.heading == pytest.approx(-off, abs=0.1)

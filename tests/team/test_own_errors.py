@@ -81,8 +81,8 @@ def test_a_step_of_the_heading_moves_what_was_learned_to_the_next_cells():
             and not errors.coupled[k]
         )
 
-    value[of(30.0)] = 5.0
+    value[of(42.0)] = 5.0
     turned = errors.turned(value, math.radians(12.0))
-    assert turned[of(42.0)] == 5.0
-    assert turned[of(30.0)] == 0.0
+    assert turned[of(30.0)] == 5.0
+    assert turned[of(42.0)] == 0.0
     assert errors.turned(value, math.radians(2.0)).tolist() == value.tolist()
