@@ -119,10 +119,11 @@ class Place(NamedTuple):
 class Marginal:
     """Matrices M (n, 8, 8) of pairs with one teammate, with q integrated out for each spread of starts.
 
-    cov (3, 3) m²: of the stated starts, the own and the teammate's; doubting: whether it says that it doubts itself.
+    cov (3, 3) m²: of the stated starts, the own and the teammate's; spreads (c,) m, increasing: `OwnErrors.spread` of
+    the components that will be asked for; doubting: whether it says that it doubts itself.
     """
 
-    def __init__(self, M: Array, cov: Array, spreads: list[float], *, doubting: bool) -> None:
+    def __init__(self, M: Array, cov: Array, spreads: Array, *, doubting: bool) -> None:
         p_off = P_DOUBTING_START_OFF if doubting else P_TEAMMATE_START_OFF
         p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
         shares = [(1.0 - sum(p) - p_far, *p) for p in (p_off, P_LOOSE_START_OFF)]
@@ -144,7 +145,7 @@ class Marginal:
         self._P = P
         self._S = S
         self._log_volume = 0.5 * (np.linalg.slogdet(P)[1] - np.linalg.slogdet(A)[1])
-        self._classes = len(spreads)
+        self._spreads = spreads
 
     def log_evidence(
         self, prior: TeammatePrior, errors: OwnErrors, used: NDArray[np.intp], heading_sigma: float
@@ -152,7 +153,7 @@ class Marginal:
         """(n, len(used)) of the components used, without the bearings' normalisers. heading_sigma [rad]: of the own
         heading in the first component."""
         found = np.empty((len(self._S), len(used)))
-        spread = errors.spread[used]
+        spread = np.searchsorted(self._spreads, errors.spread[used])
         sigma = np.where(used == 0, heading_sigma, errors.sigma[used])
         loose = errors.loose[used].astype(int)
         for s in np.unique(spread).tolist():
@@ -167,7 +168,7 @@ class Marginal:
 
     def _of(self, spread: int, y: Array, sigma: Array) -> Array:
         """(n, c, k): by how far the teammate's start is off, and by component; y (8, 3, k)."""
-        columns = slice(spread, None, self._classes)
+        columns = slice(spread, None, len(self._spreads))
         S = self._S[:, columns]
         n, c, k = *S.shape[:2], y.shape[2]
         SY = (S.reshape(-1, 8) @ y.reshape(8, -1)).reshape(n * c, 8, 3, k)
@@ -197,7 +198,7 @@ class Marginal:
     ) -> list[Place]:
         """Where the teammate is by one component k, with its start as stated and off. M (8, 8): of the one pair; G
         (3, 8): `design` of where it says that it is."""
-        y, s = prior.y[:, :, k], int(errors.spread[k])
+        y, s = prior.y[:, :, k], int(np.searchsorted(self._spreads, errors.spread[k]))
         sigma = heading_sigma if k == 0 else float(errors.sigma[k])
         L = np.zeros((8, 5))
         L[:LEVEL, :2] = y[:LEVEL, 1:]
@@ -205,7 +206,7 @@ class Marginal:
         z0 = np.concatenate([y[:LEVEL, 0], np.zeros(3)])
         found = []
         for c, log_share in enumerate(self._log_shares[int(errors.loose[k])]):
-            P = self._P[c * self._classes + s]
+            P = self._P[c * len(self._spreads) + s]
             to_mu = np.concatenate([-y[LEVEL:, 1:2], np.zeros((3, 1)), np.eye(3)], axis=1)
             A = L.T @ M @ L + to_mu.T @ P @ to_mu
             A[0, 0] += sigma**-2

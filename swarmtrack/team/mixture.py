@@ -47,7 +47,8 @@ class OwnKnowledge(NamedTuple):
 
 
 class JointMixture:
-    """`weight` (k,) of the components, and `p_fault`, the probability that the own heading or start is wrong."""
+    """`weight` (k,) of the components; `p_fault`: the probability that the own heading or start is wrong; `is_settled`:
+    whether one component, and each track's name, is sure."""
 
     def __init__(self, own: int) -> None:
         """own: our ID."""
@@ -64,7 +65,7 @@ class JointMixture:
         self._log_weight = np.zeros(len(self.errors))
         self._p_heading_off = np.zeros(len(self.errors))
         self._part = 0
-        self._is_settled = False
+        self.is_settled = False
 
     def set_team(self, pads: Mapping[int, Array], tracks: Sequence[TrackEvidence]) -> None:
         """pads (3,) m: by drone, ours too, where each says that it started. What was learned goes over."""
@@ -181,17 +182,17 @@ class JointMixture:
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
         """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""
-        return self._marginal(mate, M, known).log_evidence(
+        return self._marginal(mate, M, used, known).log_evidence(
             self._priors[mate.drone_id], self.errors, used, known.heading_sigma
         )
 
-    def _marginal(self, mate: Teammate, M: Array, known: OwnKnowledge) -> Marginal:
+    def _marginal(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Marginal:
         cov = mate.start_cov + (known.start_sigma_m**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
-        return Marginal(M, cov, self.errors.spreads, doubting=mate.doubting)
+        return Marginal(M, cov, np.unique(self.errors.spread[used]), doubting=mate.doubting)
 
     def _awake(self) -> NDArray[np.intp]:
         """The components to work out now: those with weight, and a part of the sleepers."""
-        parts = 1 if self._is_settled else SLEEPERS_PARTS_DOUBTFUL
+        parts = 1 if self.is_settled else SLEEPERS_PARTS_DOUBTFUL
         looked_at = (self.errors.part - self._part) % SLEEPERS_PARTS < parts
         self._part = (self._part + parts) % SLEEPERS_PARTS
         awake = (self._log_weight > LOG_SLEEPS) | looked_at
@@ -215,7 +216,7 @@ class JointMixture:
         P = np.tensordot(weight, found.probability, axes=1)
         none = 1.0 - P.sum(axis=1)
         sure = np.maximum(P.max(axis=1, initial=0.0), none) > P_SETTLED
-        self._is_settled = bool(weight.max() > P_SETTLED and sure.all())
+        self.is_settled = bool(weight.max() > P_SETTLED and sure.all())
         return kept, P
 
     # --- where they are ---
@@ -226,9 +227,10 @@ class JointMixture:
         """Where a teammate is that is that track: mean (3,) m from the own camera and covariance (3, 3), in the axes of
         the own rays. design (3, 8): `evidence.design` of where it says that it is."""
         M = mate.told(t) + track.told(t).M[track.likeliest_segment, mate.column]
-        marginal = self._marginal(mate, M[None], known)
+        likely = np.argsort(-self.weight)[:PLACE_COMPONENTS]
+        marginal = self._marginal(mate, M[None], likely, known)
         log, mean, spread = [], [], []
-        for k in np.argsort(-self.weight)[:PLACE_COMPONENTS].tolist():
+        for k in likely.tolist():
             if self.weight[k] > 0.0:
                 prior = self._priors[mate.drone_id]
                 for one in marginal.places(

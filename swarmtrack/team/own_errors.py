@@ -21,6 +21,7 @@ from swarmtrack.messages import Array
 from swarmtrack.team.priors import (
     COUPLED_HEADING_CELL_RAD,
     COUPLED_HEADING_SIGMA_RAD,
+    COUPLED_PADS_ALL,
     COUPLED_START_RING_M,
     HEADING_CELL_RAD,
     HEADING_CELL_SIGMA_RAD,
@@ -83,7 +84,9 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
         for one in _headings(COUPLED_HEADING_CELL_RAD, COUPLED_HEADING_SIGMA_RAD, P_HEADING_OFF)
         if one.path is not PathTurn.TEAM
     ]
-    seconds = [*_ring(COUPLED_START_RING_M, 1), *permutations]
+    few = len(pads) <= COUPLED_PADS_ALL
+    swapped = [one for one in permutations if few or own in dict(one.pads)]
+    seconds = [*_ring(COUPLED_START_RING_M, 1), *swapped]
     coupled = [
         Component(h.heading, h.sigma, h.path, s.shift, s.ring, s.pads, h.prior * s.prior)
         for h in coarse
@@ -91,7 +94,7 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
     ]
     coupled += [
         Component(0.0, p.sigma, PathTurn.NONE, r.shift, r.ring, p.pads, p.prior * r.prior)
-        for p in permutations
+        for p in swapped
         for r in _ring(COUPLED_START_RING_M, 1)
     ]
     loose = [
@@ -155,7 +158,7 @@ def _by_distance(drone_id: int, pads: Mapping[int, Array]) -> list[int]:
 class OwnErrors:
     """The components as arrays of k rows.
 
-    heading, sigma (k,) rad; shift (k, 3) m; spread (k,): index into `spreads`, m, of the starts within the component;
+    heading, sigma (k,) rad; shift (k, 3) m; spread (k,) m per axis: of the starts within the component;
     path (k,): `PathTurn`; mine (k,): whether it is this drone that is wrong, its heading apart;
     part (k,): of `SLEEPERS_PARTS`, those that are alike together.
     """
@@ -169,9 +172,7 @@ class OwnErrors:
         self.sigma = np.array([c.sigma for c in each])
         self.path = np.array([c.path for c in each])
         self.shift = np.array([(*c.shift, 0.0) for c in each])
-        self.spreads = sorted({c.ring for c in each})
-        self.spread = np.array([self.spreads.index(c.ring) for c in each])
-        self.spreads = [START_RING_SIGMA * ring for ring in self.spreads]
+        self.spread = START_RING_SIGMA * np.array([c.ring for c in each])
         self.part = np.argsort(np.argsort(self.spread, kind="stable")) * SLEEPERS_PARTS // len(each)
         self._prior = np.array([c.prior for c in each])
         self.coupled = np.array([c.sigma == COUPLED_HEADING_SIGMA_RAD for c in each])

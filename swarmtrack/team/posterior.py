@@ -96,7 +96,7 @@ class TeamPosterior:
         self._sure_t: dict[int, float] = {}
         """By track, when it was named surely, s."""
         self._weighed = -math.inf
-        self._has_news = False
+        self._team_has_changed = False
 
     @property
     def p_fault(self) -> float:
@@ -107,7 +107,6 @@ class TeamPosterior:
 
     def announce(self, announcement: Announcement) -> None:
         """A teammate says where it is."""
-        self._has_news = True
         drone = announcement.drone_id
         known = self.teammates.get(drone)
         if known is not None and known.boot == announcement.boot:
@@ -118,7 +117,7 @@ class TeamPosterior:
         )
         for track in self._tracks.values():
             track.forget(made.column) if known else track.grow(len(self.teammates))
-        self._set_team()
+        self._team_has_changed = True
 
     def agree(self, motion: AgreedMotion) -> None:
         """A teammate moves like that, as was agreed before the flight."""
@@ -136,14 +135,15 @@ class TeamPosterior:
         for id, named in self.named.items():
             left = {other: p for other, p in named.p.items() if other != drone_id}
             self.named[id] = named._replace(p=left)
-        self._set_team()
+        self._team_has_changed = True
 
     def _set_team(self) -> None:
-        if self._start is not None:
-            pads = {mate.drone_id: mate.start for mate in self.teammates.values() if mate.knows_start}
-            somewhere = dict.fromkeys(self.teammates, self._start)
-            team = {self.own: self._start, **somewhere, **pads}
-            self.mixture.set_team(team, list(self._tracks.values()))
+        """Make the components of the team as it is now: once for all that has changed since the last weighing."""
+        assert self._start is not None
+        pads = {mate.drone_id: mate.start for mate in self.teammates.values() if mate.knows_start}
+        somewhere = dict.fromkeys(self.teammates, self._start)
+        self.mixture.set_team({self.own: self._start, **somewhere, **pads}, list(self._tracks.values()))
+        self._team_has_changed = False
 
     # --- what this drone sees ---
 
@@ -157,7 +157,6 @@ class TeamPosterior:
             mate.turn(to_old)
         self.mixture.turn(angle, list(self._tracks.values()))
         self._scans = [deque(scan.turned(forward) for scan in scans) for scans in self._scans]
-        self._has_news = True
 
     def begin_again(self) -> None:
         """Each track may be anybody, or this drone elsewhere than it thinks."""
@@ -170,7 +169,6 @@ class TeamPosterior:
         if self._start is None:
             self._start = place.copy()
             start_sigma_m = math.hypot(start_sigma_m, known.start_sigma_m)
-            self._set_team()
         self._known = OwnKnowledge(start_sigma_m, max(known.heading_sigma, HEADING_LEAST_SIGMA_RAD))
         t, scans = scan.t, self._scans[scan.camera]
         scans.append(scan)
@@ -180,8 +178,10 @@ class TeamPosterior:
             self._end(id, t)
         self._watch(scan)
         self._compare_rounds(scan)
-        self._compare(scan, [id for id, bearing in scan.bearings.items() if self._is_new(id, bearing)])
-        if self._has_news or t - self._weighed > ROUND_S:
+        new = [id for id, bearing in scan.bearings.items() if self._is_new(id, bearing)]
+        self._compare(scan, new)
+        every_s = 2.0 * ROUND_S if self.mixture.is_settled else ROUND_S
+        if new or self._team_has_changed or t - self._weighed >= every_s:
             self._weigh(t)
 
     def _is_new(self, id: int, bearing: Bearing) -> bool:
@@ -225,7 +225,6 @@ class TeamPosterior:
             track = self._tracks[id]
             of = compared.only(knows | ~track.compared[compared.columns])
             track.add(scan.bearings[id], of, scan.bearings[id].camera - self._start)
-        self._has_news = True
 
     def _watch(self, scan: BearingScan) -> None:
         """Which tracks are confirmed, and which may have gone over to another target."""
@@ -264,10 +263,12 @@ class TeamPosterior:
     # --- what it makes of it ---
 
     def _weigh(self, t: float) -> None:
-        self._weighed, self._has_news = t, False
+        self._weighed = t
         if not self.teammates:
             self.named = {}
             return
+        if self._team_has_changed:
+            self._set_team()
         mates, begun = (
             list(self.teammates.values()),
             [id for id, track in self._tracks.items() if track.begun],

@@ -33,6 +33,8 @@ PADS_SWAPPED_WITH = 3
 # Two faults at once: of headings the second is looked for in coarser cells, of starts on one ring.
 COUPLED_HEADING_CELL_RAD, COUPLED_HEADING_SIGMA_RAD = math.radians(12.0), math.radians(5.0)
 COUPLED_START_RING_M = 2.5
+# In a larger team only swaps of the own pad are second faults.
+COUPLED_PADS_ALL = 6
 
 # --- A teammate's errors. ---
 
@@ -141,4 +143,4 @@ PLACE_COMPONENTS = 3
 # them while a component, or a name, is less sure than that.
 LOG_SLEEPS = -12.0
 SLEEPERS_PARTS, SLEEPERS_PARTS_DOUBTFUL = 48, 8
-P_SETTLED = 0.98
+P_SETTLED = 0.99

@@ -18,6 +18,7 @@ from swarmtrack.team.priors import (
 OWN, MATE = 1, 2
 PADS = {OWN: np.array([0.0, 0.0, -2.0]), MATE: np.array([6.0, 1.0, -2.0]), 3: np.array([5.0, -4.0, -2.0])}
 ERRORS = OwnErrors(OWN, PADS)
+SPREADS = np.unique(ERRORS.spread)
 COV = 0.1**2 * np.eye(3)
 SIGMA_M = 0.15
 
@@ -97,14 +98,11 @@ def drawn(found, k, cov, heading_sigma, chance, draws=2000):
 def test_each_component_is_the_integral_over_starts_and_headings(wanted, heading):
     chance = np.random.default_rng(7)
     found, k, heading_sigma = bearings(chance, heading=heading), index(**wanted), math.radians(3.0)
-    marginal = Marginal(matrix(found)[None], COV, ERRORS.spreads, doubting=False)
+    marginal = Marginal(matrix(found)[None], COV, SPREADS, doubting=False)
     prior = TeammatePrior.of(MATE, ERRORS)
     level = np.diag([1.0, 1.0, 0.2**2])
     parts = [
-        math.log(p)
-        + drawn(
-            found, k, COV + (off**2 + ERRORS.spreads[ERRORS.spread[k]] ** 2) * level, heading_sigma, chance
-        )
+        math.log(p) + drawn(found, k, COV + (off**2 + ERRORS.spread[k] ** 2) * level, heading_sigma, chance)
         for p, off in zip(
             (1.0 - sum(P_TEAMMATE_START_OFF) - P_TEAMMATE_HEADING_OFF, *P_TEAMMATE_START_OFF),
             (0.0, 0.5, 2.5),
@@ -118,7 +116,7 @@ def test_each_component_is_the_integral_over_starts_and_headings(wanted, heading
 
 def test_the_right_component_explains_a_heading_that_is_off():
     found = bearings(np.random.default_rng(3), count=12, heading=math.radians(60.0))
-    marginal = Marginal(matrix(found)[None], COV, ERRORS.spreads, doubting=False)
+    marginal = Marginal(matrix(found)[None], COV, SPREADS, doubting=False)
     used = np.arange(len(ERRORS))
     log = marginal.log_evidence(TeammatePrior.of(MATE, ERRORS), ERRORS, used, math.radians(3.0))[0]
     best = ERRORS.components[int(log.argmax())]
@@ -141,7 +139,7 @@ def test_bearings_turn_along_with_a_heading_that_steps():
 def test_places_follow_what_the_teammate_says():
     found = bearings(np.random.default_rng(11), count=20)
     M = matrix(found)
-    marginal = Marginal(M[None], COV, ERRORS.spreads, doubting=False)
+    marginal = Marginal(M[None], COV, SPREADS, doubting=False)
     place, way = np.array([1.0, -2.0, 0.5]), np.array([-1.0, 0.5, 0.0])
     prior = TeammatePrior.of(MATE, ERRORS)
     best = max(
