@@ -5,7 +5,7 @@ pads, everybody stands on the next one's, a compass or a camera's mounting is tu
 these the team knows nothing. Its configs state `--sigma` metres for every start and nothing for the heading.
 
 * right, wrong, unknown: as `swarmtrack sim` counts them; wrong with a 95 % interval over flights.
-* later: right from `LATER_S` of flight on, once a drone that is told how the others move had the time to find out.
+* later: right from `LATER_S` of flight on, once each drone has had the time to find out.
 * surest: the highest probability that was stated with a wrong name.
 * said: of the drones concerned, those that said that their own start or heading is wrong; after: seconds from when the
   first teammate came into their view, median and most. Falsely: drones that said so and are right.

@@ -22,6 +22,7 @@ from swarmtrack.team.own_errors import OwnErrors
 from swarmtrack.team.priors import (
     DOUBTING_PADS_RATIO,
     HEADING_LEAST_SIGMA_RAD,
+    LOG_NONSENSE,
     LOG_RATIO_LEAST,
     LOG_RATIO_MOST,
     LOG_SEEN,
@@ -182,9 +183,11 @@ class JointMixture:
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
         """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""
-        return self._marginal(mate, M, used, known).log_evidence(
+        log = self._marginal(mate, M, used, known).log_evidence(
             self._priors[mate.drone_id], self.errors, used, known.heading_sigma
         )
+        # Nonsense from a peer explains nothing.
+        return np.nan_to_num(log, nan=LOG_NONSENSE, neginf=LOG_NONSENSE)
 
     def _marginal(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Marginal:
         cov = mate.start_cov + (known.start_sigma_m**2 + START_LEAST_SIGMA_M**2) * np.eye(3)

@@ -33,6 +33,7 @@ from swarmtrack.team.priors import (
     P_STARTS_LOOSE,
     P_TEAM_TURNED,
     PADS_SWAPPED_WITH,
+    SINGLE_FAULTS_FROM,
     SLEEPERS_PARTS,
     START_RING_DIRECTIONS,
     START_RING_SIGMA,
@@ -75,6 +76,12 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
     """All of them, first "as configured". own: our ID; pads (3,) m: by drone, ours too, where each says it started."""
     headings = _headings(HEADING_CELL_RAD, HEADING_CELL_SIGMA_RAD, P_HEADING_OFF)
     rings = [ring for radius in START_RINGS_M for ring in _ring(radius, len(START_RINGS_M))]
+    nominal = Component(0.0, HEADING_CELL_SIGMA_RAD, PathTurn.NONE, (0.0, 0.0), 0.0, (), 0.0)
+    loose = [
+        dataclasses.replace(one, prior=one.prior * P_STARTS_LOOSE / P_START_OFF, loose=True) for one in rings
+    ]
+    if len(pads) > SINGLE_FAULTS_FROM:
+        return [nominal, *headings, *rings, *loose]
     permutations = [
         Component(0.0, HEADING_CELL_SIGMA_RAD, PathTurn.NONE, (0.0, 0.0), 0.0, pads, prior)
         for pads, prior in _permutations(pads)
@@ -97,10 +104,6 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
         for p in swapped
         for r in _ring(COUPLED_START_RING_M, 1)
     ]
-    loose = [
-        dataclasses.replace(one, prior=one.prior * P_STARTS_LOOSE / P_START_OFF, loose=True) for one in rings
-    ]
-    nominal = Component(0.0, HEADING_CELL_SIGMA_RAD, PathTurn.NONE, (0.0, 0.0), 0.0, (), 0.0)
     return [nominal, *headings, *rings, *loose, *permutations, *coupled]
 
 

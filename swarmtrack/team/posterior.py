@@ -28,6 +28,7 @@ from swarmtrack.team.priors import (
     BOX_LEARNED_EVERY_S,
     BOX_SIZE_SIGMA_LN,
     BOX_SPAN_LEAST_SIGMA_LN,
+    FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     P_BELIEVED,
     P_FRAME_KEPT,
@@ -206,11 +207,13 @@ class TeamPosterior:
 
     def _compare(self, scan: BearingScan, ids: Iterable[int]) -> None:
         """Tracks with all teammates, in one scan."""
-        mates, ids = [mate for mate in self.teammates.values() if mate.path], list(ids)
-        if not ids or not mates:
-            return
         assert self._start is not None
-        said = [mate.at(scan.t) for mate in mates]
+        ids = list(ids)
+        placed = [(mate, *mate.at(scan.t)) for mate in self.teammates.values() if mate.path and ids]
+        near = [one for one in placed if np.linalg.norm(one[1] - one[0].start) < FARTHEST_COMPARED_M]
+        if not near:
+            return
+        mates, said = [mate for mate, _, _ in near], [(place, sigma) for _, place, sigma in near]
         compared = Compared(
             columns=np.array([mate.column for mate in mates]),
             place=np.array([place - mate.start for mate, (place, _) in zip(mates, said, strict=True)]),
@@ -293,6 +296,8 @@ class TeamPosterior:
                 continue
             position, cov = self.place(id, drone, bearing.t)
             distance = float(np.linalg.norm(position))
+            if not distance < FARTHEST_COMPARED_M:
+                continue
             variance = float(position @ cov @ position) / distance**4 + BOX_SIZE_SIGMA_LN**2
             gain = mate.span_variance / (mate.span_variance + variance)
             mate.log_span += gain * (math.log(distance / bearing.distance) - mate.log_span)

@@ -35,6 +35,8 @@ COUPLED_HEADING_CELL_RAD, COUPLED_HEADING_SIGMA_RAD = math.radians(12.0), math.r
 COUPLED_START_RING_M = 2.5
 # In a larger team only swaps of the own pad are second faults.
 COUPLED_PADS_ALL = 6
+# Of a larger team than this, single faults of this drone are all that is looked for.
+SINGLE_FAULTS_FROM = 40
 
 # --- A teammate's errors. ---
 
@@ -65,6 +67,8 @@ CARRIED_MOVING_M_S, CARRIED_HOVERING_M_S, MOVING_M_S = 0.6, 0.2, 0.3
 CARRIED_FREE_S, CARRIED_MOST_S = 0.2, 1.5
 # Of a teammate that has said nothing for longer, only a track that is new is compared with its last place.
 PLACE_LASTS_S = 3.0
+# Whoever says that it is farther away is not compared: nobody would see it.
+FARTHEST_COMPARED_M = 2000.0
 # A path between two reports bends as the last three did; of its sagitta so much is error.
 BEND_ERROR = 0.7
 # Beside what the tracker says: of the own attitude, of a box's centre against its drone's.
@@ -121,6 +125,7 @@ BELIEVED_ENDED_S = 4.0
 P_SUPPOSED = 0.2
 P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
 # Log ratios of pairs beyond which nothing changes.
+LOG_NONSENSE = -1e6
 LOG_RATIO_LEAST, LOG_RATIO_MOST = -60.0, 80.0
 
 # --- Read-outs. ---

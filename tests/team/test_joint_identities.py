@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
 from swarmtrack.geometry import rotation
@@ -12,6 +14,20 @@ from swarmtrack.messages import FOREIGN, IdClash, PeerDeparted, PeerExpelled
 from swarmtrack.team.joint_identities import JointIdentities
 
 NAMED = {"a": 2, "b": 3}
+PIXELS = st.tuples(st.floats(0.0, 640.0), st.floats(0.0, 480.0))
+DRONES, TRACKS = st.integers(1, 5), st.sampled_from("abcd")
+STEPS = st.one_of(
+    st.tuples(st.just("hears"), DRONES, PIXELS, st.sampled_from(["0000000a", "0000000b"])),
+    st.tuples(st.just("is told"), DRONES, PIXELS),
+    st.tuples(st.just("goes"), TRACKS, PIXELS),
+    st.tuples(st.just("ends"), TRACKS),
+    st.tuples(st.just("sees"), st.sampled_from([0.1, 0.5, 2.0])),
+    st.tuples(st.just("steps"), st.floats(-3.0, 3.0)),
+    st.tuples(st.just("turns")),
+    st.tuples(st.just("clashes"), st.integers(2, 5)),
+    st.tuples(st.just("is alone"), st.integers(2, 5)),
+    st.tuples(st.just("is expelled"), st.integers(2, 5)),
+)
 
 
 @pytest.fixture
@@ -85,6 +101,50 @@ def test_of_a_nameless_track_the_likeliest_are_asked_for_their_pose():
     observer.hears(3, LEFT)
     observer.sees(4.0, a=LEFT)
     assert {drone for _, drone in observer.wanted} == {2, 3}
+
+
+@pytest.mark.parametrize("far", [1.9e3, 1e5, 1e9, 1e150])
+def test_a_teammate_that_says_it_is_far_away_takes_no_name_from_the_others(observer, far):
+    for _ in range(6):
+        observer.is_told_at(2, np.array([far, -far, far]))
+        observer.is_told(3, RIGHT)
+        names = observer.sees(1.0, a=LEFT, b=RIGHT)
+    assert names["b"] == 3
+    assert 0.9 < observer.identities.label(observer.tracks)[1].identity_probability <= 1.0
+
+
+@given(st.lists(STEPS, max_size=30))
+@settings(max_examples=40, deadline=None)
+def test_whatever_happens_no_id_is_held_twice(steps):
+    observer = Observer(model="joint")
+    tracks = {}
+    for what, *values in steps:
+        match what, values:
+            case "hears", [drone, pixel, boot]:
+                observer.hears(drone, pixel, sequence=len(observer.tracks) + 1, boot=boot)
+            case "is told", [drone, pixel]:
+                observer.is_told(drone, pixel)
+            case "goes", [name, pixel]:
+                tracks[name] = pixel
+            case "ends", [name]:
+                tracks.pop(name, None)
+            case "sees", [seconds]:
+                observer.sees(seconds, **tracks)
+            case "steps", [angle]:
+                observer.identities.step_heading(observer.t, angle)
+            case "turns", []:
+                observer.identities.turn_unmeasured()
+            case "clashes", [drone]:
+                observer.identities.on_membership(IdClash(drone, ("0000000a", "0000000b"), ours=False))
+            case "is alone", [drone]:
+                observer.identities.on_membership(PeerDeparted(drone, "0000000b"))
+            case "is expelled", [drone]:
+                observer.identities.on_membership(PeerExpelled(drone))
+        held = [name for name in observer.names().values() if isinstance(name, int)]
+        assert len(held) == len(set(held))
+        assert set(held) <= observer.identities.announced.keys()
+        for entry in observer.identities.label(observer.tracks):
+            assert 0.0 <= entry.identity_probability <= 1.0
 
 
 def test_names_outlast_a_heading_that_steps(observer):
