@@ -95,10 +95,11 @@ STRANGER_DISTANCE_RANGE_LN = 3.0
 NEAREST_BOX_M, FARTHEST_BOX_M = 1.0, 80.0
 SMALLEST_BOX_PX = 2.0
 
-# --- Strangers: what is not in the team stands, hovers or flies. ---
+# --- Strangers: what is not in the team stands, hovers, manoeuvres or flies straight. ---
 
 STRANGER_HOVER_M_SQRT_S = 0.15
-STRANGER_FLIGHT_M_SQRT_S, STRANGER_FLIGHT_M_S2, STRANGER_FLIGHT_M_S = 0.1, 1.0, 0.7
+STRANGER_MANOEUVRES_M_SQRT_S, STRANGER_MANOEUVRES_M_S2, STRANGER_MANOEUVRES_M_S = 0.1, 1.0, 0.7
+STRANGER_STRAIGHT_M_S, STRANGER_STRAIGHT_M_S2 = 2.0, 0.3
 # How well the parallax of a stranger is known, as a share of it.
 STRANGER_PARALLAX_SIGMA = 0.4
 

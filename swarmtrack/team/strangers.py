@@ -1,6 +1,6 @@
 """How a stranger's direction goes on, so that its next bearing can be predicted as sharply as a teammate's.
 
-Whatever is not in the team stands, hovers (a random walk) or flies (random acceleration). Each is a filter of a
+Whatever is not in the team stands, hovers (a random walk), manoeuvres (random acceleration) or flies straight. Each is a filter of a
 direction and its rate; across the bearing both axes are alike, so a covariance is (2, 2), of angle and rate. The filter
 pays the same white errors as the teammate that the track is compared with, at the distance at which that would be:
 otherwise every lasting error would speak for strangers.
@@ -15,15 +15,17 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.priors import (
-    STRANGER_FLIGHT_M_S,
-    STRANGER_FLIGHT_M_S2,
-    STRANGER_FLIGHT_M_SQRT_S,
     STRANGER_HOVER_M_SQRT_S,
+    STRANGER_MANOEUVRES_M_S,
+    STRANGER_MANOEUVRES_M_S2,
+    STRANGER_MANOEUVRES_M_SQRT_S,
     STRANGER_PARALLAX_SIGMA,
+    STRANGER_STRAIGHT_M_S,
+    STRANGER_STRAIGHT_M_S2,
 )
 
-KINDS = 3
-"""Stands, hovers, flies."""
+KINDS = 4
+"""Stands, hovers, manoeuvres, flies straight."""
 _LEAST_WEIGHT = 0.05
 
 
@@ -111,10 +113,18 @@ class StrangerFilters:
         self._cov[new] = 0.0
         self._cov[new, :, 0] = variance[:, None]
         self._cov[new, :, 2] = np.stack(
-            [np.full_like(rho, 1e-12), np.full_like(rho, 1e-12), (STRANGER_FLIGHT_M_S / rho) ** 2], axis=1
+            [
+                np.full_like(rho, 1e-12),
+                np.full_like(rho, 1e-12),
+                (STRANGER_MANOEUVRES_M_S / rho) ** 2,
+                (STRANGER_STRAIGHT_M_S / rho) ** 2,
+            ],
+            axis=1,
         )
         none = np.zeros_like(rho)
         self._walk[new] = np.stack(
-            [none, STRANGER_HOVER_M_SQRT_S / rho, STRANGER_FLIGHT_M_SQRT_S / rho], axis=1
+            [none, STRANGER_HOVER_M_SQRT_S / rho, STRANGER_MANOEUVRES_M_SQRT_S / rho, none], axis=1
         )
-        self._acceleration[new] = np.stack([none, none, STRANGER_FLIGHT_M_S2 / rho], axis=1)
+        self._acceleration[new] = np.stack(
+            [none, none, STRANGER_MANOEUVRES_M_S2 / rho, STRANGER_STRAIGHT_M_S2 / rho], axis=1
+        )

@@ -45,10 +45,12 @@ def test_one_that_stands_is_predicted_as_by_a_mean():
         assert found[k] == pytest.approx(expected, abs=0.05)
 
 
-def test_one_that_flies_is_best_explained_by_flight_and_one_that_stands_by_standing():
-    away = [np.array([1.0, math.tan(0.05 * k), 0.0]) for k in range(12)]
+def test_each_kind_of_motion_is_best_explained_by_its_own_filter():
+    straight = [np.array([1.0, math.tan(0.05 * k), 0.0]) for k in range(12)]
+    turning = [np.array([1.0, 0.15 * math.sin(1.2 * k), 0.15 * math.cos(1.2 * k)]) for k in range(12)]
     still = [np.array([1.0, 0.0, 0.0])] * 12
-    assert densities(away)[1:, 0].sum(axis=0).argmax() == 2
+    assert densities(straight)[1:, 0].sum(axis=0).argmax() == 3
+    assert densities(turning)[1:, 0].sum(axis=0).argmax() == 2
     assert densities(still)[1:, 0].sum(axis=0).argmax() == 0
 
 
