@@ -1,7 +1,7 @@
 """How a stranger's direction goes on, so that its next bearing can be predicted as sharply as a teammate's.
 
-Whatever is not in the team stands, hovers (a random walk), manoeuvres (random acceleration) or flies straight. Each is a
-filter of a direction and its rate; across the bearing both axes are alike, so a covariance is (2, 2), of angle and
+Whatever is not in the team stands, hovers (a random walk), manoeuvres (random acceleration) or flies straight. Each is
+a filter of a direction and its rate; across the bearing both axes are alike, so a covariance is (2, 2), of angle and
 rate. The filter pays the same white errors as the teammate that the track is compared with, at the distance at which
 that would be: otherwise every lasting error would speak for strangers.
 """
