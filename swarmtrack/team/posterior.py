@@ -28,6 +28,7 @@ from swarmtrack.team.priors import (
     BOX_LEARNED_EVERY_S,
     BOX_SIZE_SIGMA_LN,
     BOX_SPAN_LEAST_SIGMA_LN,
+    CALM_WEIGHED_EVERY_S,
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     P_BELIEVED,
@@ -178,32 +179,40 @@ class TeamPosterior:
         for id in [id for id in self._tracks if id not in alive]:
             self._end(id, t)
         self._watch(scan)
-        self._compare_rounds(scan)
+        compared = self._compare_rounds(scan)
         new = [id for id, bearing in scan.bearings.items() if self._is_new(id, bearing)]
         self._compare(scan, new)
-        every_s = 2.0 * ROUND_S if self.mixture.is_settled else ROUND_S
-        if new or self._team_has_changed or t - self._weighed >= every_s:
+        is_due = t - self._weighed >= CALM_WEIGHED_EVERY_S
+        if new or self._team_has_changed or is_due or (compared and not self._is_calm):
             self._weigh(t)
+
+    @property
+    def _is_calm(self) -> bool:
+        """Whether everything is settled, and no track waits to be one."""
+        return self.mixture.is_settled and not any(track.weak for track in self._tracks.values())
 
     def _is_new(self, id: int, bearing: Bearing) -> bool:
         """Whether a track, or a teammate that it was not compared with, has just come."""
         track = self._tracks.get(id)
         return not bearing.weak if track is None else not track.compared.all()
 
-    def _compare_rounds(self, scan: BearingScan) -> None:
+    def _compare_rounds(self, scan: BearingScan) -> bool:
+        """Whether any round was due."""
+        before = self._round[scan.camera]
         t, number = scan.t, scan.camera
         if not math.isfinite(self._round[number]):
             self._round[number] = ROUND_S * math.floor(t / ROUND_S)
         speaking = [mate for mate in self.teammates.values() if mate.speaks(t, REPORT_WAIT_S)]
         while (due := self._round[number] + ROUND_S) <= t:
             if due >= t - REPORT_WAIT_S and not all(mate.has_said(due) for mate in speaking):
-                return
+                break
             self._round[number] = due
             nearest = min(self._scans[number], key=lambda kept: abs(kept.t - due))
             if abs(nearest.t - due) < ROUND_NEAR_S:
                 self._compare(
                     nearest, [id for id in nearest.bearings if id in self._tracks or id in scan.bearings]
                 )
+        return self._round[number] > before
 
     def _compare(self, scan: BearingScan, ids: Iterable[int]) -> None:
         """Tracks with all teammates, in one scan."""
