@@ -13,10 +13,12 @@ import argparse
 import math
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import connection
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -295,11 +297,25 @@ def pool(processes: int | None) -> Iterator[Callable[..., Iterator[Any]]]:
         return
     # Spawned, not forked: the line of progress is a thread. An executor, not a pool: a process that cannot load its
     # work breaks it, where a pool would wait for ever.
-    workers = ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn"))
+    workers = ProcessPoolExecutor(
+        processes, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_the_benchmark
+    )
     try:
         yield workers.map
     finally:
         workers.shutdown(cancel_futures=True)
+
+
+def _end_with_the_benchmark() -> None:
+    """In a worker: end when the benchmark does, however that ended. Killed, it would leave its workers at work."""
+    benchmark = multiprocessing.parent_process()
+    assert benchmark is not None, "this is a worker"
+
+    def wait() -> None:
+        connection.wait([benchmark.sentinel])
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
 
 
 # --- what summaries are made of ----------------------------------------------------------------------

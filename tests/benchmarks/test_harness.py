@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import operator
+import subprocess
 import sys
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from support.patience import until
 from swarmtrack.benchmarks import harness, report
 from swarmtrack.benchmarks.figures import Figure, table
 from swarmtrack.benchmarks.harness import (
@@ -90,6 +93,28 @@ class Unloadable:
 def test_work_that_no_process_can_load_is_an_error_and_no_wait():
     with pytest.raises(BrokenProcessPool):
         list(harness.flown("x", [("all", Unloadable())], range(3), processes=2))
+
+
+SLEEPS = """
+import time
+from swarmtrack.benchmarks import harness
+list(harness.flown("x", [("all", time.sleep)], range(600, 602), processes=2))
+"""
+
+
+def is_at_work(pid):
+    status = Path(f"/proc/{pid}/status")
+    return status.exists() and "\nState:\tZ" not in status.read_text(encoding="utf-8")
+
+
+def test_a_benchmark_that_is_killed_leaves_no_worker_at_work():
+    benchmark = subprocess.Popen([sys.executable, "-c", SLEEPS], stderr=subprocess.DEVNULL)
+    children = Path(f"/proc/{benchmark.pid}/task/{benchmark.pid}/children")
+    # Two workers, and what watches their shared resources.
+    workers = until(lambda: (found := children.read_text().split())[2:] and found)
+    benchmark.kill()
+    benchmark.wait()
+    until(lambda: not any(map(is_at_work, workers)), "a worker goes on")
 
 
 def test_a_benchmark_that_draws_looks_for_matplotlib_before_it_begins(tmp_path, monkeypatch):
