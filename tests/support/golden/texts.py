@@ -12,7 +12,11 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
+from typing import Any
 from unittest import mock
+
+import msgspec
+import numpy as np
 
 from support.golden import FOLDER, Moved, Part
 from support.golden.flights import RECORDINGS
@@ -86,11 +90,25 @@ def wire() -> dict[str, str]:
         published: list[TrackList] = []
         Replayer(recording, read_settings(recording)[0], watcher=published.append).run()
         found[Path(recording.folder).parts[-3]] = "".join(
-            codec.encode(tracks_message(tracks, number, 0.0, UTC_SIGMA)).hex() + "\n"
+            codec.encode(_rounded(tracks_message(tracks, number, 0.0, UTC_SIGMA))).hex() + "\n"
             for number, tracks in enumerate(published)
             if number % PUBLISHED_EVERY == 0
         )
     return found
+
+
+def _rounded(part: Any) -> Any:
+    """A message, or a part of one, with single precision: the last bits are the processor's, by its matrix products."""
+    match part:
+        case float():
+            return float(np.float32(part))
+        case msgspec.Struct():
+            values = {name: _rounded(getattr(part, name)) for name in part.__struct_fields__}
+            return msgspec.structs.replace(part, **values)
+        case list() | tuple():
+            return type(part)(map(_rounded, part))
+        case _:
+            return part
 
 
 def help_texts() -> dict[str, str]:
