@@ -25,6 +25,7 @@ import numpy as np
 from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import harness
 from swarmtrack.benchmarks.harness import (
+    MODEL,
     PROCESSES,
     TRACKER,
     Flights,
@@ -46,7 +47,6 @@ SECONDS = {"crossing": 20.0, "hover-triangle": 20.0, "errand": 30.0}
 # m: what the shipped configs state.
 SIGMA = 0.1
 VICTIM = 1
-MODEL = IdentityParameters().model
 # s of flight: from then on a drone has had the time to find out; in `errand` the last one takes off at 12 s.
 LATER_S = {"crossing": 10.0, "hover-triangle": 10.0, "errand": 13.0}
 COMPASS_DEG = (5.0, 10.0, 20.0, 30.0, 90.0, 180.0)
@@ -141,7 +141,7 @@ def fly(
     seed: int,
     *,
     share_hz: float | None = None,
-    model: str = MODEL,
+    model: str = IdentityParameters().model,
 ) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight. share_hz: how often each says how it
     moves, None: never. model: `identity.model`."""
@@ -218,12 +218,7 @@ BENCH = Flights(
         option(
             "--share", "every drone says so often how it moves (default: never)", type=positive, metavar="HZ"
         ),
-        option(
-            "--model",
-            "what names tracks: `identity.model` (default: %(default)s)",
-            choices=("matching", "joint"),
-            default=MODEL,
-        ),
+        MODEL,
         PROCESSES,
     ),
     rows=_rows,

@@ -22,9 +22,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.arguments import count
-from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, Row, option, quantile, seeds, share
+from swarmtrack.benchmarks.harness import (
+    MODEL,
+    PROCESSES,
+    TRACKER,
+    Flights,
+    Row,
+    option,
+    quantile,
+    seeds,
+    share,
+)
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.scenarios.scenario import (
     AnnouncedStart,
     Plan,
@@ -120,10 +131,11 @@ def _apart(one: Array, other: Array) -> bool:
     return float(np.linalg.norm(one - other)) > APART_M and angle > APART_RAD
 
 
-def look(n: int, mode: Mode, tracker: str, seed: int) -> Flight:
-    """One flight, as fast as it computes; the same arguments give the same flight."""
+def look(n: int, mode: Mode, tracker: str, seed: int, *, model: str = IdentityParameters().model) -> Flight:
+    """One flight, as fast as it computes; the same arguments give the same flight. model: `identity.model`."""
     scenario = scenario_of_seed(n, mode, seed)
-    swarm = VirtualSwarm(scenario, tracker=tracker, observers=[OBSERVER])
+    identity = IdentityParameters(model=model)
+    swarm = VirtualSwarm(scenario, tracker=tracker, identity=identity, observers=[OBSERVER])
     judge = _Judge(scenario)
     begins = CODE_S if mode.code else 0.0
     for scan in swarm.fly(begins + SECONDS):
@@ -188,7 +200,7 @@ def _rows(args: argparse.Namespace) -> list[Row]:
     return [
         Row(
             f"{mode.words}, {n} drones",
-            partial(look, n, mode, args.tracker),
+            partial(look, n, mode, args.tracker, model=args.model),
             partial(summary, n),
             {"mode": mode.words, "drones": n},
         )
@@ -213,10 +225,11 @@ BENCH = Flights(
             default=DRONES,
             metavar="N",
         ),
+        MODEL,
         PROCESSES,
     ),
     rows=_rows,
-    facts=lambda args: {"tracker": args.tracker, "seeds": args.seeds},
+    facts=lambda args: {"tracker": args.tracker, "seeds": args.seeds, "model": args.model},
     columns=(
         ("known", "{mode}"),
         ("drones", "{drones}"),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+IDENTITY_MODELS = ("matching", "joint")
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentityParameters:
@@ -32,8 +34,10 @@ class IdentityParameters:
     def __post_init__(self) -> None:
         if self.profile not in ("default", "paper"):
             raise ValueError(f"identity.profile: found {self.profile!r}, expected one of default, paper")
-        if self.model not in ("matching", "joint"):
-            raise ValueError(f"identity.model: found {self.model!r}, expected one of matching, joint")
+        if self.model not in IDENTITY_MODELS:
+            raise ValueError(
+                f"identity.model: found {self.model!r}, expected one of {', '.join(IDENTITY_MODELS)}"
+            )
         if not 0.5 <= self.probability < 1.0:
             raise ValueError(
                 f"identity.probability: found {self.probability!r}, expected 0.5 or more, below 1"

@@ -56,10 +56,8 @@ def fault_in_words(fault: OwnFault) -> str:
         case OwnFault(start=(north, east)):
             side = COMPASS_POINTS[round(math.atan2(east, north) / (math.pi / 4.0)) % 8]
             return f"we started about {math.hypot(north, east):.1f} m {side} of the stated start"
-        case OwnFault(pad_of=int(drone_id)):
-            return f"we stand where drone {drone_id} is stated to start"
         case _:
-            return "cause unknown"
+            return f"we stand where drone {fault.pad_of} is stated to start"
 
 
 def describe(news: News) -> str:

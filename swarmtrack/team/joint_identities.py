@@ -68,7 +68,6 @@ class JointIdentities:
         """As `Identities`."""
         self.self_doubt = False
         """Whether this drone says that its own start or heading is wrong."""
-        self._drone_id = drone_id
         self._cameras = tuple(cameras)
         self._parameters = parameters
         self._teammates = Teammates(drone_id)
@@ -158,7 +157,7 @@ class JointIdentities:
 
     def lose_place(self) -> None:
         """This drone may be elsewhere than it thinks."""
-        self._posterior.begin_again()
+        self._posterior.lose_place()
 
     def turn_unmeasured(self) -> None:
         """The camera has turned by an unknown angle since the last scan: each track may have another target."""
@@ -281,7 +280,7 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
     ]
     missed = {track.id: track.coasting_since for track in shown if track.coasting_since is not None}
     if not detected:
-        return BearingScan(t, view.number, view.team_from_camera.position, {}, {}, missed)
+        return BearingScan(t, view.number, view.team_from_camera.position, {}, missed)
     pixel = np.array([track.mean[::2] for track in detected])
     focal = view.camera.per_radian(pixel)[..., 0]
     ray = view.rays(pixel)
@@ -294,6 +293,7 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
         track.id: Bearing(
             t,
             camera,
+            pixel[i],
             ray[i],
             float(variance[i]),
             float(distance[i]),
@@ -301,4 +301,4 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
         )
         for i, track in enumerate(detected)
     }
-    return BearingScan(t, view.number, camera, bearings, dict(zip(bearings, pixel, strict=True)), missed)
+    return BearingScan(t, view.number, camera, bearings, missed)

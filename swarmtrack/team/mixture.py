@@ -85,6 +85,11 @@ class JointMixture:
             track.map_components(lambda value: self.errors.turned(value, angle))
         self._begin()
 
+    def forget(self) -> None:
+        """What ended tracks said was of another start, or another heading."""
+        self._told = np.zeros(len(self.errors))
+        self._begin()
+
     def keep(self, told: Array, t: float) -> None:
         """A track has ended that said this of the components: log evidence (k,)."""
         self._told, self._told_t = self._told_at(t) + told - told.max(), t
@@ -126,8 +131,8 @@ class JointMixture:
         return P
 
     @property
-    def fault(self) -> OwnFault:
-        """The likeliest fault of this drone's own pose, if it has one."""
+    def fault(self) -> OwnFault | None:
+        """The likeliest fault of this drone's own pose; None: there is none."""
         errors, w = self.errors, self.weight
         by_kind = {
             "heading": w * self._p_heading_off,
@@ -137,7 +142,7 @@ class JointMixture:
         kind, w = max(by_kind.items(), key=lambda item: float(item[1].sum()))
         total = float(w.sum())
         if not total:
-            return OwnFault()
+            return None
         if kind == "heading":
             return OwnFault(heading=float(np.angle(w @ np.exp(1j * errors.heading))))
         if kind == "start":

@@ -152,6 +152,15 @@ def _permutations(pads: Mapping[int, Array]) -> list[tuple[Permutation, float]]:
     return [(one, P_PADS_PERMUTED / len(found)) for one in found]
 
 
+def _key(c: Component, angle: float = 0.0) -> tuple[object, ...]:
+    """What a component is known by in any team: one like c with a heading that is off by angle [rad] more."""
+    cell = COUPLED_HEADING_CELL_RAD if c.sigma == COUPLED_HEADING_SIGMA_RAD else HEADING_CELL_RAD
+    heading = (round(c.heading / cell) + round(angle / cell)) % round(2.0 * math.pi / cell)
+    if not heading:
+        return (0, HEADING_CELL_RAD, PathTurn.NONE, c.shift, c.pads, c.loose)
+    return (heading, cell, c.path, c.shift, c.pads, c.loose)
+
+
 def _by_distance(drone_id: int, pads: Mapping[int, Array]) -> list[int]:
     """The others, the nearest pad first."""
     away = {other: float(np.linalg.norm(pads[drone_id] - pad)) for other, pad in pads.items()}
@@ -178,7 +187,6 @@ class OwnErrors:
         self.spread = START_RING_SIGMA * np.array([c.ring for c in each])
         self.part = np.argsort(np.argsort(self.spread, kind="stable")) * SLEEPERS_PARTS // len(each)
         self._prior = np.array([c.prior for c in each])
-        self.coupled = np.array([c.sigma == COUPLED_HEADING_SIGMA_RAD for c in each])
         self.ring = np.array([c.ring for c in each])
         self.loose = np.array([c.loose for c in each])
         self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
@@ -211,27 +219,14 @@ class OwnErrors:
 
     def mapped_from(self, before: OwnErrors, value: Array) -> Array:
         """(k,) of these components from (k,) of those before; what is new has the first one's."""
-        if before is self:
-            return value
-        at = {self._key(c): i for i, c in enumerate(before.components)}
-        rows = [at.get(self._key(c), 0) for c in self.components]
-        return np.asarray(value[rows])
-
-    @staticmethod
-    def _key(c: Component) -> tuple[float, float, PathTurn, tuple[float, float], Permutation, bool]:
-        return c.heading, c.sigma, c.path, c.shift, c.pads, c.loose
+        at = {_key(c): i for i, c in enumerate(before.components)}
+        return np.asarray(value[[at.get(_key(c), 0) for c in self.components]])
 
     def turned(self, value: Array, angle: float) -> Array:
-        """(k,) of the components after the own heading has stepped by angle [rad]: what was of another heading."""
-        by_key = {self._key(c): i for i, c in enumerate(self.components)}
-        rows = []
-        for i, c in enumerate(self.components):
-            cell = COUPLED_HEADING_CELL_RAD if self.coupled[i] else HEADING_CELL_RAD
-            before = math.remainder(round((c.heading + angle) / cell) * cell, 2.0 * math.pi)
-            path = c.path if before else PathTurn.NONE
-            key = self._key(dataclasses.replace(c, heading=before, path=path))
-            rows.append(by_key.get(key, i))
-        return np.asarray(value[rows])
+        """(k,) of the components after the own heading has stepped by angle [rad]: each has what was of its heading
+        before, or the first one's where no component had that."""
+        at = {_key(c): i for i, c in enumerate(self.components)}
+        return np.asarray(value[[at.get(_key(c, angle), 0) for c in self.components]])
 
     def stands_at(self, drone_id: int) -> Array:
         """(k, 3) m: the stated start of the pad on which that drone stands."""

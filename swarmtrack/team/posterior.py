@@ -13,8 +13,8 @@ observer's errors with the components.
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Collection, Iterable, Mapping
+from collections import defaultdict, deque
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,14 +50,13 @@ _SCANS_KEPT_S = 2.5
 class BearingScan(NamedTuple):
     """The tracks that one camera detected at t [s], from origin (3,) m.
 
-    bearings, and pixels (2,): by track; missed: the tracks that it shows and did not detect, by since when [s].
+    bearings: by track; missed: the tracks that it shows and did not detect, by since when [s].
     """
 
     t: float
     camera: int
     origin: Array
     bearings: Mapping[int, Bearing]
-    pixels: Mapping[int, Array]
     missed: Mapping[int, float]
 
     def turned(self, forward: Array) -> BearingScan:
@@ -97,6 +96,7 @@ class TeamPosterior:
         self._missed: dict[int, float] = {}
         self._sure_t: dict[int, float] = {}
         """By track, when it was named surely, s."""
+        self._agreed: defaultdict[int, list[AgreedMotion]] = defaultdict(list)
         self._weighed = -math.inf
         self._team_has_changed = False
 
@@ -114,18 +114,15 @@ class TeamPosterior:
         if known is not None and known.boot == announcement.boot:
             known.announce(announcement)
             return
-        self.teammates[drone] = made = Teammate.of(
-            announcement, len(self.teammates) if known is None else known.column
-        )
+        column = len(self.teammates) if known is None else known.column
+        self.teammates[drone] = Teammate.of(announcement, column, self._agreed[drone])
         for track in self._tracks.values():
-            track.forget(made.column) if known else track.grow(len(self.teammates))
+            track.forget(column) if known else track.grow(len(self.teammates))
         self._team_has_changed = True
 
     def agree(self, motion: AgreedMotion) -> None:
         """A teammate moves like that, as was agreed before the flight."""
-        mate = self.teammates.get(motion.drone_id)
-        if mate is not None:
-            mate.agree(motion)
+        self._agreed[motion.drone_id].append(motion)
 
     def expel(self, drone_id: int) -> None:
         """No track is this drone any more."""
@@ -161,8 +158,15 @@ class TeamPosterior:
         self._scans = [deque(scan.turned(forward) for scan in scans) for scans in self._scans]
 
     def begin_again(self) -> None:
-        """Each track may be anybody, or this drone elsewhere than it thinks."""
+        """Each track may be anybody."""
         self._tracks, self.named = {}, {}
+
+    def lose_place(self) -> None:
+        """This drone may be elsewhere than it thinks: nothing that it saw says where anybody is."""
+        self.begin_again()
+        self.mixture.forget()
+        for mate in self.teammates.values():
+            mate.forget_frame()
 
     def observe(self, scan: BearingScan, alive: Collection[int], place: Array, known: OwnKnowledge) -> None:
         """alive: the tracks of all cameras; place (3,) m: of this drone, team frame, as well known as its autopilot
@@ -180,7 +184,12 @@ class TeamPosterior:
             self._end(id, t)
         self._watch(scan)
         compared = self._compare_rounds(scan)
-        new = [id for id, bearing in scan.bearings.items() if self._is_new(id, bearing)]
+        # A teammate that has just come is new to all.
+        new = [
+            id
+            for id, bearing in scan.bearings.items()
+            if not bearing.weak and (self._team_has_changed or id not in self._tracks)
+        ]
         self._compare(scan, new)
         is_due = t - self._weighed >= CALM_WEIGHED_EVERY_S
         if new or self._team_has_changed or is_due or (compared and not self._is_calm):
@@ -191,15 +200,9 @@ class TeamPosterior:
         """Whether everything is settled, and no track waits to be one."""
         return self.mixture.is_settled and not any(track.weak for track in self._tracks.values())
 
-    def _is_new(self, id: int, bearing: Bearing) -> bool:
-        """Whether a track, or a teammate that it was not compared with, has just come."""
-        track = self._tracks.get(id)
-        return not bearing.weak if track is None else not track.compared.all()
-
     def _compare_rounds(self, scan: BearingScan) -> bool:
-        """Whether any round was due."""
-        before = self._round[scan.camera]
-        t, number = scan.t, scan.camera
+        """Returns whether any round was due."""
+        t, number, before = scan.t, scan.camera, self._round[scan.camera]
         if not math.isfinite(self._round[number]):
             self._round[number] = ROUND_S * math.floor(t / ROUND_S)
         speaking = [mate for mate in self.teammates.values() if mate.speaks(t, REPORT_WAIT_S)]
@@ -214,26 +217,25 @@ class TeamPosterior:
                 )
         return self._round[number] > before
 
-    def _compare(self, scan: BearingScan, ids: Iterable[int]) -> None:
+    def _compare(self, scan: BearingScan, ids: Sequence[int]) -> None:
         """Tracks with all teammates, in one scan."""
         assert self._start is not None
-        ids = list(ids)
-        placed = [(mate, *mate.at(scan.t)) for mate in self.teammates.values() if mate.path and ids]
+        placed = [(mate, *mate.at(scan.t)) for mate in self.teammates.values()] if ids else []
         near = [one for one in placed if np.linalg.norm(one[1] - one[0].start) < FARTHEST_COMPARED_M]
         if not near:
             return
-        mates, said = [mate for mate, _, _ in near], [(place, sigma) for _, place, sigma in near]
         compared = Compared(
-            columns=np.array([mate.column for mate in mates]),
-            place=np.array([place - mate.start for mate, (place, _) in zip(mates, said, strict=True)]),
-            sigma=np.array([sigma for _, sigma in said]),
-            log_span=np.array([mate.log_span for mate in mates]),
-            span_variance=np.array([mate.span_variance for mate in mates]),
+            columns=np.array([mate.column for mate, _, _ in near]),
+            place=np.array([place - mate.start for mate, place, _ in near]),
+            sigma=np.array([sigma for _, _, sigma in near]),
+            log_span=np.array([mate.log_span for mate, _, _ in near]),
+            span_variance=np.array([mate.span_variance for mate, _, _ in near]),
         )
-        knows = np.array([mate.knows(scan.t) for mate in mates])
+        knows = np.array([mate.knows(scan.t) for mate, _, _ in near])
         for id in ids:
             if id not in self._tracks:
-                self._tracks[id] = TrackEvidence(len(self.teammates), scan.camera)
+                weak = scan.bearings[id].weak
+                self._tracks[id] = TrackEvidence(len(self.teammates), scan.camera, weak=weak)
             track = self._tracks[id]
             of = compared.only(knows | ~track.compared[compared.columns])
             track.add(scan.bearings[id], of, scan.bearings[id].camera - self._start)
@@ -243,9 +245,9 @@ class TeamPosterior:
         t, number = scan.t, scan.camera
         passed = 0.0 if math.isnan(self._watched[number]) else t - self._watched[number]
         self._watched[number] = t
-        at = np.array(list(scan.pixels.values())).reshape(-1, 2)
+        at = np.array([bearing.pixel for bearing in scan.bearings.values()]).reshape(-1, 2)
         gap = np.linalg.norm(at[:, None] - at, axis=2) + np.diag(np.full(len(at), np.inf))
-        for id, near in zip(scan.pixels, gap, strict=True):
+        for id, near in zip(scan.bearings, gap, strict=True):
             missed = t - self._missed.pop(id, t)
             if id in self._tracks:
                 self._tracks[id].weak = scan.bearings[id].weak
@@ -281,12 +283,9 @@ class TeamPosterior:
             return
         if self._team_has_changed:
             self._set_team()
-        mates, begun = (
-            list(self.teammates.values()),
-            [id for id, track in self._tracks.items() if track.begun],
-        )
-        P = self.mixture.weigh([self._tracks[id] for id in begun], mates, t, self._known)
-        for id, p in zip(begun, P, strict=True):
+        mates = list(self.teammates.values())
+        P = self.mixture.weigh(list(self._tracks.values()), mates, t, self._known)
+        for id, p in zip(self._tracks, P, strict=True):
             each = {mate.drone_id: float(one) for mate, one in zip(mates, p, strict=True)}
             self.named[id] = named = Named(each, max(1.0 - float(p.sum()), 0.0))
             if named.likeliest[1] >= P_BELIEVED:

@@ -44,7 +44,8 @@ class Teammate:
     sized_t: float = -math.inf
     _origin: Array | None = None
     _motion_t: float = -math.inf
-    _agreed: AgreedMotion | None = None
+    agreed: list[AgreedMotion] = field(default_factory=list)
+    """How it moves by what was agreed before the flight, whichever of its processes lives."""
     _told: Array = field(default_factory=lambda: np.zeros((8, 8)))
     _told_t: float = 0.0
     p_supposed: float = 0.0
@@ -52,13 +53,14 @@ class Teammate:
     _supposed: Array = field(default_factory=lambda: np.zeros((8, 8)))
 
     @classmethod
-    def of(cls, announcement: Announcement, column: int) -> Teammate:
+    def of(cls, announcement: Announcement, column: int, agreed: list[AgreedMotion]) -> Teammate:
         made = cls(
             announcement.drone_id,
             column,
             announcement.boot,
             announcement.position.copy(),
             announcement.position_cov.copy(),
+            agreed=agreed,
         )
         if float(np.trace(made.start_cov)) > 3.0 * SOMEWHERE_SIGMA_M**2:
             made.start_cov, made.knows_start = SOMEWHERE_SIGMA_M**2 * np.eye(3), False
@@ -72,54 +74,47 @@ class Teammate:
             self.path.append(Report(announcement.t, announcement.position, None))
 
     def report(self, report: SightingReport) -> None:
-        """It says with what it sees where it is."""
-        if report.t - self._motion_t <= _MOTION_LASTS_S:
+        """It says with what it sees where it is. Of another process of its, nothing is known of the frame."""
+        if report.boot != self.boot or report.t - self._motion_t <= _MOTION_LASTS_S:
             return
-        velocity = None
-        if self.path:
-            last = self.path.last
-            if _VELOCITY_LEAST_S < report.t - last.t < _VELOCITY_MOST_S:
-                velocity = (report.position - last.place) / (report.t - last.t)
+        velocity, last = None, self.path.last
+        if _VELOCITY_LEAST_S < report.t - last.t < _VELOCITY_MOST_S:
+            velocity = (report.position - last.place) / (report.t - last.t)
         self.path.append(Report(report.t, report.position, velocity))
 
     def move(self, report: MotionReport) -> None:
         """It says how it moves: its displacement is counted from one place as long as its process lives."""
+        if report.boot != self.boot:
+            return
         if self._origin is None:
-            place = self.start
-            if self.path:
-                last = self.path.last
-                on = 0.0 if last.velocity is None else report.t - last.t
-                place = last.place + (0.0 if last.velocity is None else on * last.velocity)
-            self._origin = place - report.displacement
+            last = self.path.last
+            on = np.zeros(3) if last.velocity is None else (report.t - last.t) * last.velocity
+            self._origin = last.place + on - report.displacement
         self._motion_t = report.t
         self.path.append(Report(report.t, self._origin + report.displacement, report.velocity))
 
-    def agree(self, motion: AgreedMotion) -> None:
-        """How it moves by what was agreed before the flight."""
-        self._agreed = motion
-
     def at(self, t: float) -> tuple[Array, float]:
         """Where it says that it was at t, (3,) m in its own frame, and the standard deviation per axis [m]."""
-        motion = self._agreed
-        if motion is not None and motion.t[0] <= t <= motion.t[-1]:
+        motion = self._agreed_at(t)
+        if motion is not None:
             now = np.array([np.interp(t, motion.t, axis) for axis in motion.displacement.T])
             return self.start + now - motion.displacement[0], REPORTED_PLACE_SIGMA_M
         return self.path.at(t)
 
     def knows(self, t: float) -> bool:
         """Whether it has said anything of where it was at about t."""
-        motion = self._agreed
-        if motion is not None and motion.t[0] <= t <= motion.t[-1]:
-            return True
-        return bool(self.path) and t - self.path.last.t <= PLACE_LASTS_S
+        return self._agreed_at(t) is not None or t - self.path.last.t <= PLACE_LASTS_S
 
     def has_said(self, t: float) -> bool:
         """Whether nothing has to be waited for to know where it was at t."""
-        return self._agreed is not None or (bool(self.path) and self.path.last.t >= t)
+        return self._agreed_at(t) is not None or self.path.last.t >= t
+
+    def _agreed_at(self, t: float) -> AgreedMotion | None:
+        return next((motion for motion in self.agreed if motion.t[0] <= t <= motion.t[-1]), None)
 
     def speaks(self, t: float, within: float) -> bool:
         """Whether it has said something within so many s before t."""
-        return bool(self.path) and self.path.last.t > t - within
+        return self.path.last.t > t - within
 
     def told(self, t: float) -> Array:
         """(8, 8): what its ended tracks say of its frame at t."""
@@ -138,6 +133,10 @@ class Teammate:
         """A track has ended that was this drone with probability p."""
         self._told, self._told_t = self.told(t), t
         self._supposed, self.p_supposed = M, p
+
+    def forget_frame(self) -> None:
+        """What its ended tracks said was of another start of this drone."""
+        self._told, self.p_supposed = np.zeros((8, 8)), 0.0
 
     def turn(self, to_old: Array) -> None:
         """The axes of the own rays have turned: to_old (8, 8) takes z back."""

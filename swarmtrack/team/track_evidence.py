@@ -48,12 +48,13 @@ _LEAST_WEIGHT = 0.05
 
 
 class Bearing(NamedTuple):
-    """A track in one scan: t [s]; camera (3,) m, team frame; direction (3,), unit vector in the axes of the own
-    rays; variance rad²; distance [m] at which a box of `BOX_SPAN_M` looks as large; weak: of a track that is not
-    confirmed yet."""
+    """A track in one scan: t [s]; camera (3,) m, team frame; pixel (2,), undistorted; direction (3,), unit vector in
+    the axes of the own rays; variance rad²; distance [m] at which a box of `BOX_SPAN_M` looks as large; weak: of a
+    track that is not confirmed yet."""
 
     t: float
     camera: Array
+    pixel: Array
     direction: Array
     variance: float
     distance: float
@@ -123,8 +124,6 @@ class TrackEvidence:
     """(n, 8, 8): of the last box's size."""
     size_log: Array = field(init=False)
     strangers: StrangerFilters = field(init=False)
-    begun: bool = False
-    """Whether there was any bearing."""
     whole: Array | None = None
     """(k,) by component: log evidence of all bearings, whoever it is."""
     weak: bool = False
@@ -204,7 +203,6 @@ class TrackEvidence:
         """Compare a bearing with some teammates; it may be a second or two old. own_way (3,) m: of the camera, from the
         own start."""
         self.fade(bearing.t)
-        self.begun, self.weak = True, bearing.weak
         since = bearing.t - self._at[mates.columns]
         counts = np.clip(since / ROUND_S, 0.0, 1.0) > _LEAST_WEIGHT
         if not counts.any():

@@ -103,6 +103,20 @@ def test_of_a_nameless_track_the_likeliest_are_asked_for_their_pose():
     assert {drone for _, drone in observer.wanted} == {2, 3}
 
 
+def test_what_another_process_of_a_drone_reports_is_not_of_its_frame(observer):
+    for _ in range(6):
+        observer.is_told(2, RIGHT, boot="0000000c")
+        observer.is_told(3, RIGHT)
+        names = observer.sees(1.0, a=LEFT, b=RIGHT)
+    assert names == {"a": 2, "b": 3}
+
+
+def test_names_are_found_again_after_the_place_was_lost(observer):
+    observer.sees(3.0, a=LEFT, b=RIGHT)
+    observer.identities.lose_place()
+    assert observer.sees(2.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
 @pytest.mark.parametrize("far", [1.9e3, 1e5, 1e9, 1e150])
 def test_a_teammate_that_says_it_is_far_away_takes_no_name_from_the_others(observer, far):
     for _ in range(6):

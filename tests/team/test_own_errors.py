@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmtrack.team.own_errors import OwnErrors, PathTurn
+from swarmtrack.team.own_errors import OwnErrors
 
 PADS = {drone: np.array([3.0 * drone, drone % 2, -1.0]) for drone in (1, 2, 3, 4)}
 
@@ -66,23 +66,22 @@ def test_what_was_learned_goes_over_to_a_larger_team():
             assert mapped[k] == value[same]
 
 
-def test_a_step_of_the_heading_moves_what_was_learned_to_the_next_cells():
+@pytest.mark.parametrize("step_deg", [-170.0, -90.0, -12.0, 12.0, 90.0, 170.0])
+def test_a_step_of_the_heading_moves_what_was_learned_to_other_cells(step_deg):
     errors = OwnErrors(1, PADS)
-    value = np.zeros(len(errors))
+    rows = errors.turned(np.arange(len(errors)), math.radians(step_deg))
+    for c, row in zip(errors.components, rows.tolist(), strict=True):
+        was = errors.components[row]
+        error = math.remainder(was.heading - c.heading - math.radians(step_deg), 2.0 * math.pi)
+        if row:
+            assert abs(error) < math.radians(6.1)
+            assert (was.shift, was.pads, was.loose) == (c.shift, c.pads, c.loose)
+        else:
+            # It had no fault at all, or a fault of the start or pads that only goes with a heading in a coarse cell.
+            assert abs(error) < math.radians(6.1) or c.ring or c.pads
 
-    def of(degrees, path=PathTurn.OWN):
-        return next(
-            k
-            for k, c in enumerate(errors.components)
-            if c.heading == pytest.approx(math.radians(degrees))
-            and c.path is path
-            and not c.pads
-            and not c.ring
-            and not errors.coupled[k]
-        )
 
-    value[of(42.0)] = 5.0
-    turned = errors.turned(value, math.radians(12.0))
-    assert turned[of(30.0)] == 5.0
-    assert turned[of(42.0)] == 0.0
+def test_a_step_within_a_cell_moves_nothing():
+    errors = OwnErrors(1, PADS)
+    value = np.arange(len(errors))
     assert errors.turned(value, math.radians(2.0)).tolist() == value.tolist()

@@ -13,7 +13,7 @@ MATES = 3
 
 def add(track, t, chance):
     direction = np.array([1.0, *chance.normal(0.0, 0.05, 2)])
-    bearing = Bearing(t, np.zeros(3), direction / np.linalg.norm(direction), 1e-4, 8.0)
+    bearing = Bearing(t, np.zeros(3), np.zeros(2), direction / np.linalg.norm(direction), 1e-4, 8.0)
     places = np.tile([8.0, 0.0, 0.0], (MATES, 1)) + chance.normal(0.0, 0.3, (MATES, 3))
     ones = np.ones(MATES)
     mates = Compared(np.arange(MATES), places, 0.12 * ones, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones)
