@@ -158,10 +158,12 @@ class JointIdentities:
     def lose_place(self) -> None:
         """This drone may be elsewhere than it thinks."""
         self._posterior.lose_place()
+        self._strange_since = {}
 
     def turn_unmeasured(self) -> None:
         """The camera has turned by an unknown angle since the last scan: each track may have another target."""
         self._posterior.begin_again()
+        self._strange_since = {}
 
     def observe(self, tracks: Iterable[Track], observer: TeamPose, camera: int = 0) -> IdentityNews:
         """Look at all tracks after a scan of a camera, with this drone's own pose at its exposure."""

@@ -10,7 +10,7 @@ Components without weight sleep, and are looked at again in turn: more of them w
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -68,14 +68,17 @@ class JointMixture:
         self._part = 0
         self.is_settled = False
 
-    def set_team(self, pads: Mapping[int, Array], tracks: Sequence[TrackEvidence]) -> None:
-        """pads (3,) m: by drone, ours too, where each says that it started. What was learned goes over."""
+    def set_team(
+        self, drones: Collection[int], pads: Mapping[int, Array], tracks: Sequence[TrackEvidence]
+    ) -> None:
+        """drones: the teammates; pads (3,) m: by drone, ours too, where each that knows it says that it started. What
+        was learned goes over."""
         before, own = self.errors, self.errors.own
         self.errors = OwnErrors(own, pads)
         self._told = self.errors.mapped_from(before, self._told)
         for track in tracks:
             track.map_components(lambda value: self.errors.mapped_from(before, value))
-        self._priors = {drone: TeammatePrior.of(drone, self.errors) for drone in pads if drone != own}
+        self._priors = {drone: TeammatePrior.of(drone, self.errors) for drone in drones}
         self._begin()
 
     def turn(self, angle: float, tracks: Sequence[TrackEvidence]) -> None:
@@ -181,7 +184,7 @@ class JointMixture:
                 log = E[at : at + segments] + found.log[:, mate.column, None]
                 log[track.is_whole] += LOG_SEEN + track.weak * LOG_WEAK
                 # Whoever takes over a track may be any of the team.
-                log[~track.is_whole] -= math.log(self.errors.teammates)
+                log[~track.is_whole] -= math.log(len(self._priors))
                 into[:, :, c] = np.minimum(log, LOG_RATIO_MOST)
             at += segments
         return np.asarray(log_w)

@@ -176,7 +176,7 @@ class OwnErrors:
     """
 
     def __init__(self, own: int, pads: Mapping[int, Array]) -> None:
-        """As `components`."""
+        """As `components`; a drone that is not in pads started somewhere around this one."""
         self.own = own
         self.pads = dict(pads)
         self.components = each = components(own, pads)
@@ -195,11 +195,6 @@ class OwnErrors:
             c.heading != 0.0 and not c.ring and not c.pads and c.path is not PathTurn.TEAM for c in each
         ]
         self._may_be_right = np.array(single)
-
-    @property
-    def teammates(self) -> int:
-        """How many there are, at least one."""
-        return max(len(self.pads) - 1, 1)
 
     def __len__(self) -> int:
         return len(self.components)
@@ -230,7 +225,9 @@ class OwnErrors:
 
     def stands_at(self, drone_id: int) -> Array:
         """(k, 3) m: the stated start of the pad on which that drone stands."""
-        return np.array([self.pads[dict(c.pads).get(drone_id, drone_id)] for c in self.components])
+        around = self.pads[self.own]
+        on = [dict(c.pads).get(drone_id, drone_id) for c in self.components]
+        return np.array([self.pads.get(pad, around) for pad in on])
 
     def permuted(self, drone_id: int) -> NDArray[np.bool_]:
         """(k,): the components in which that drone stands on another's pad."""

@@ -42,6 +42,7 @@ from swarmtrack.team.priors import (
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
+from swarmtrack.team.wander import Wander
 
 # s of scans that wait for reports of their time.
 _SCANS_KEPT_S = 2.5
@@ -140,8 +141,7 @@ class TeamPosterior:
         """Make the components of the team as it is now: once for all that has changed since the last weighing."""
         assert self._start is not None
         pads = {mate.drone_id: mate.start for mate in self.teammates.values() if mate.knows_start}
-        somewhere = dict.fromkeys(self.teammates, self._start)
-        self.mixture.set_team({self.own: self._start, **somewhere, **pads}, list(self._tracks.values()))
+        self.mixture.set_team(self.teammates, {self.own: self._start, **pads}, list(self._tracks.values()))
         self._team_has_changed = False
 
     # --- what this drone sees ---
@@ -190,7 +190,10 @@ class TeamPosterior:
             for id, bearing in scan.bearings.items()
             if not bearing.weak and (self._team_has_changed or id not in self._tracks)
         ]
-        self._compare(scan, new)
+        self._compare(scan, new, self.teammates.values())
+        agreed = [mate for mate in self.teammates.values() if mate.agreed(t)]
+        if agreed:
+            self._compare(scan, [id for id in scan.bearings if id in self._tracks], agreed)
         is_due = t - self._weighed >= CALM_WEIGHED_EVERY_S
         if new or self._team_has_changed or is_due or (compared and not self._is_calm):
             self._weigh(t)
@@ -212,26 +215,25 @@ class TeamPosterior:
             self._round[number] = due
             nearest = min(self._scans[number], key=lambda kept: abs(kept.t - due))
             if abs(nearest.t - due) < ROUND_NEAR_S:
-                self._compare(
-                    nearest, [id for id in nearest.bearings if id in self._tracks or id in scan.bearings]
-                )
+                ids = [id for id in nearest.bearings if id in self._tracks or id in scan.bearings]
+                self._compare(nearest, ids, self.teammates.values())
         return self._round[number] > before
 
-    def _compare(self, scan: BearingScan, ids: Sequence[int]) -> None:
-        """Tracks with all teammates, in one scan."""
+    def _compare(self, scan: BearingScan, ids: Sequence[int], mates: Collection[Teammate]) -> None:
+        """Tracks with teammates, in one scan."""
         assert self._start is not None
-        placed = [(mate, *mate.at(scan.t)) for mate in self.teammates.values()] if ids else []
-        near = [one for one in placed if np.linalg.norm(one[1] - one[0].start) < FARTHEST_COMPARED_M]
+        placed = [(mate, mate.at(scan.t)) for mate in mates] if ids else []
+        near = [one for one in placed if np.linalg.norm(one[1].place - one[0].start) < FARTHEST_COMPARED_M]
         if not near:
             return
         compared = Compared(
-            columns=np.array([mate.column for mate, _, _ in near]),
-            place=np.array([place - mate.start for mate, place, _ in near]),
-            sigma=np.array([sigma for _, _, sigma in near]),
-            log_span=np.array([mate.log_span for mate, _, _ in near]),
-            span_variance=np.array([mate.span_variance for mate, _, _ in near]),
+            columns=np.array([mate.column for mate, _ in near]),
+            place=np.array([said.place - mate.start for mate, said in near]),
+            wander=Wander(*np.array([said[1:] for _, said in near]).T),
+            log_span=np.array([mate.log_span for mate, _ in near]),
+            span_variance=np.array([mate.span_variance for mate, _ in near]),
         )
-        knows = np.array([mate.knows(scan.t) for mate, _, _ in near])
+        knows = np.array([mate.knows(scan.t) for mate, _ in near])
         for id in ids:
             if id not in self._tracks:
                 weak = scan.bearings[id].weak
@@ -317,7 +319,7 @@ class TeamPosterior:
         axes of the own rays."""
         mate, track = self.teammates[drone_id], self._tracks[track_id]
         assert self._start is not None
-        place, sigma = mate.at(t)
-        G = design((place - mate.start)[None], self._scans[track.camera][-1].origin - self._start)[0]
+        said = mate.at(t)
+        G = design((said.place - mate.start)[None], self._scans[track.camera][-1].origin - self._start)[0]
         mean, cov = self.mixture.place(track, mate, G, t, self._known)
-        return mean, cov + sigma**2 * np.eye(3)
+        return mean, cov + (said.sigma**2 + said.white) * np.eye(3)

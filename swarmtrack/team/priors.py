@@ -60,8 +60,10 @@ SOMEWHERE_SIGMA_M = 30.0
 
 # --- Bearings and reported places. ---
 
-# White error of a reported place against the one that is flown.
-REPORTED_PLACE_SIGMA_M = 0.12
+# How far a teammate is from where it says it is: smoothly, m and rad/s, and white.
+REPORTED_PLACE_SIGMA_M, REPORTED_PLACE_BANDWIDTH_RAD_S, REPORTED_PLACE_WHITE_M = 0.12, 0.5, 0.05
+# The same of who flies a code, or a plan.
+CODED_WANDER, PLANNED_WANDER, AGREED_WHITE_M = (0.1, 1.5), (0.3, 1.0), 0.02
 # How much farther off a place is that is carried on from the last report: of a drone that moves, and one that hovers.
 CARRIED_MOVING_M_S, CARRIED_HOVERING_M_S, MOVING_M_S = 0.6, 0.2, 0.3
 CARRIED_FREE_S, CARRIED_MOST_S = 0.2, 1.5
@@ -73,7 +75,7 @@ FARTHEST_COMPARED_M = 2000.0
 BEND_ERROR = 0.7
 # Beside what the tracker says: of the own attitude, of a box's centre against its drone's.
 BEARING_SIGMA_RAD, CENTRE_SIGMA_PX2 = 4e-3, 1.0
-# Bearings are compared in rounds; one counts as the share of this that has passed since the last.
+# Bearings are compared in rounds, those of an agreed motion in every scan.
 ROUND_S = 0.5
 # A comparison is of bearings at most this far from the round's time.
 ROUND_NEAR_S = 0.2
@@ -89,6 +91,8 @@ OWN_ERRORS_LAST_S = 120.0
 # The larger side of a box, m, and how it varies: between airframes, and from box to box.
 BOX_SPAN_M, BOX_SPAN_SIGMA_LN, BOX_SIZE_SIGMA_LN = 0.55, 0.22, 0.3
 BOX_SPAN_LEAST_SIGMA_LN = 0.1
+# A box has settled after so many seconds of bearings.
+BOX_SETTLED_S = 0.45
 BOX_LEARNED_EVERY_S = 1.0
 # A stranger's distance is anywhere within this, ln.
 STRANGER_DISTANCE_RANGE_LN = 3.0

@@ -20,7 +20,9 @@ from swarmtrack.team.priors import (
     CARRIED_MOST_S,
     CARRIED_MOVING_M_S,
     MOVING_M_S,
+    REPORTED_PLACE_BANDWIDTH_RAD_S,
     REPORTED_PLACE_SIGMA_M,
+    REPORTED_PLACE_WHITE_M,
 )
 
 # Reports kept: a few seconds of the quickest sender.
@@ -35,6 +37,16 @@ class Report(NamedTuple):
     t: float
     place: Array
     velocity: Array | None
+
+
+class SaidPlace(NamedTuple):
+    """A place (3,) m in the teammate's own frame, how far it may be from there, smoothly, sigma [m] and bandwidth
+    [rad/s], and the white variance [m²] on top."""
+
+    place: Array
+    sigma: float
+    bandwidth: float
+    white: float
 
 
 class ReportedPlaces:
@@ -56,8 +68,8 @@ class ReportedPlaces:
         if not self._reports or report.t > self._reports[-1].t:
             self._reports.append(report)
 
-    def at(self, t: float) -> tuple[Array, float]:
-        """The place (3,) m at t, and its standard deviation per axis [m]."""
+    def at(self, t: float) -> SaidPlace:
+        """The place at t."""
         reports = self._reports
         k = len(reports) - 1
         while k > 0 and reports[k].t > t:
@@ -72,9 +84,9 @@ class ReportedPlaces:
             moves = bool(np.linalg.norm(here.velocity) > MOVING_M_S)
         rate = CARRIED_MOVING_M_S if moves else CARRIED_HOVERING_M_S
         carried = rate * max(abs(t - here.t) - CARRIED_FREE_S, 0.0)
-        return place, math.hypot(REPORTED_PLACE_SIGMA_M, carried)
+        return _said(place, carried)
 
-    def _between(self, k: int, t: float) -> tuple[Array, float]:
+    def _between(self, k: int, t: float) -> SaidPlace:
         here, there = self._reports[k], self._reports[k + 1]
         step = max(there.t - here.t, 1e-3)
         slope = (there.place - here.place) / step
@@ -87,4 +99,9 @@ class ReportedPlaces:
         on, left = min(t - here.t, step), max(there.t - t, 0.0)
         place = here.place + on * slope - on * left * bend
         error = BEND_ERROR * float(np.linalg.norm(bend)) * on * left
-        return place, math.hypot(REPORTED_PLACE_SIGMA_M, error)
+        return _said(place, error)
+
+
+def _said(place: Array, white_sigma: float) -> SaidPlace:
+    white = REPORTED_PLACE_WHITE_M**2 + white_sigma**2
+    return SaidPlace(place, REPORTED_PLACE_SIGMA_M, REPORTED_PLACE_BANDWIDTH_RAD_S, white)

@@ -26,7 +26,6 @@ from swarmtrack.team.priors import (
 
 KINDS = 4
 """Stands, hovers, manoeuvres, flies straight."""
-_LEAST_WEIGHT = 0.05
 
 
 class StrangerFilters:
@@ -72,13 +71,11 @@ class StrangerFilters:
         parallax: Array,
         variance: Array,
         distance: Array,
-        weight: Array,
     ) -> Array:
         """Log predictive densities (m, KINDS) per rad² of a bearing (3,) by the filters of m columns; it is folded in.
 
         dt (m,) s since the last; parallax (m, 3) rad: of the own motion since then, at distance (m,) m; variance (m,)
-        rad² of the bearing, all white errors included; weight (m,): the share of a whole bearing that it counts.
-        Filters that begin return zeros.
+        rad² of the bearing, all white errors included. Filters that begin return zeros.
         """
         new = ~self._begun[columns]
         if new.any():
@@ -96,8 +93,7 @@ class StrangerFilters:
         innovation -= bearing * (innovation @ bearing)[..., None]
         S = p00 + variance[:, None]
         log_density = -np.log(2.0 * math.pi * S) - 0.5 * np.sum(innovation**2, axis=-1) / S
-        damped = p00 + (variance / np.maximum(weight, _LEAST_WEIGHT))[:, None]
-        k0, k1 = p00 / damped, p01 / damped
+        k0, k1 = p00 / S, p01 / S
         updated = np.stack([p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01], axis=-1)
         old = columns[~new]
         self._direction[old] = (direction + k0[..., None] * innovation)[~new]

@@ -9,12 +9,14 @@ import numpy as np
 
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, SightingReport
 from swarmtrack.team.priors import (
+    AGREED_WHITE_M,
     BOX_SPAN_SIGMA_LN,
+    CODED_WANDER,
     PLACE_LASTS_S,
-    REPORTED_PLACE_SIGMA_M,
+    PLANNED_WANDER,
     SOMEWHERE_SIGMA_M,
 )
-from swarmtrack.team.reported_places import Report, ReportedPlaces
+from swarmtrack.team.reported_places import Report, ReportedPlaces, SaidPlace
 from swarmtrack.team.track_evidence import fading
 
 # s: so long after the last motion report a place in a report is what tells where it is.
@@ -44,7 +46,7 @@ class Teammate:
     sized_t: float = -math.inf
     _origin: Array | None = None
     _motion_t: float = -math.inf
-    agreed: list[AgreedMotion] = field(default_factory=list)
+    motions: list[AgreedMotion] = field(default_factory=list)
     """How it moves by what was agreed before the flight, whichever of its processes lives."""
     _told: Array = field(default_factory=lambda: np.zeros((8, 8)))
     _told_t: float = 0.0
@@ -53,14 +55,14 @@ class Teammate:
     _supposed: Array = field(default_factory=lambda: np.zeros((8, 8)))
 
     @classmethod
-    def of(cls, announcement: Announcement, column: int, agreed: list[AgreedMotion]) -> Teammate:
+    def of(cls, announcement: Announcement, column: int, motions: list[AgreedMotion]) -> Teammate:
         made = cls(
             announcement.drone_id,
             column,
             announcement.boot,
             announcement.position.copy(),
             announcement.position_cov.copy(),
-            agreed=agreed,
+            motions=motions,
         )
         if float(np.trace(made.start_cov)) > 3.0 * SOMEWHERE_SIGMA_M**2:
             made.start_cov, made.knows_start = SOMEWHERE_SIGMA_M**2 * np.eye(3), False
@@ -69,7 +71,8 @@ class Teammate:
 
     def announce(self, announcement: Announcement) -> None:
         """It says where it is, and perhaps that it doubts it."""
-        self.doubting = float(np.trace(announcement.position_cov)) > 3.0 * _DOUBTS_M**2
+        vague = float(np.trace(announcement.position_cov)) > 3.0 * _DOUBTS_M**2
+        self.doubting = vague and self.knows_start
         if not self.doubting or not self.path:
             self.path.append(Report(announcement.t, announcement.position, None))
 
@@ -93,12 +96,15 @@ class Teammate:
         self._motion_t = report.t
         self.path.append(Report(report.t, self._origin + report.displacement, report.velocity))
 
-    def at(self, t: float) -> tuple[Array, float]:
-        """Where it says that it was at t, (3,) m in its own frame, and the standard deviation per axis [m]."""
+    def at(self, t: float) -> SaidPlace:
+        """Where it says that it was at t, in its own frame."""
         motion = self._agreed_at(t)
         if motion is not None:
             now = np.array([np.interp(t, motion.t, axis) for axis in motion.displacement.T])
-            return self.start + now - motion.displacement[0], REPORTED_PLACE_SIGMA_M
+            sigma, bandwidth = PLANNED_WANDER if motion.planned else CODED_WANDER
+            return SaidPlace(
+                self.start + now - motion.displacement[0], sigma, bandwidth, AGREED_WHITE_M**2
+            )
         return self.path.at(t)
 
     def knows(self, t: float) -> bool:
@@ -109,8 +115,12 @@ class Teammate:
         """Whether nothing has to be waited for to know where it was at t."""
         return self._agreed_at(t) is not None or self.path.last.t >= t
 
+    def agreed(self, t: float) -> bool:
+        """Whether it moves at t as was agreed before the flight."""
+        return self._agreed_at(t) is not None
+
     def _agreed_at(self, t: float) -> AgreedMotion | None:
-        return next((motion for motion in self.agreed if motion.t[0] <= t <= motion.t[-1]), None)
+        return next((motion for motion in self.motions if motion.t[0] <= t <= motion.t[-1]), None)
 
     def speaks(self, t: float, within: float) -> bool:
         """Whether it has said something within so many s before t."""

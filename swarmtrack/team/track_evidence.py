@@ -1,11 +1,10 @@
 """Evidence of one track's bearings for each teammate.
 
-For each teammate the bearings add up to a matrix M (`evidence.py`), to normalisers, and to the predictive densities of
-a stranger (`strangers.py`). All sums fade alike, so what was said since some instant is the sum now less the faded sum
-of then: a segment of a track is nothing but the sum at its beginning.
+For each teammate the innovations of bearings (`wander.py`) add up to a matrix M (`evidence.py`), to normalisers, and to
+the predictive densities of a stranger (`strangers.py`).
 
-A segment is the hypothesis that the track went over to its present target at that instant. Earlier bearings still count
-for the observer's errors, whichever target they were of.
+A segment is the hypothesis that the track went over to its present target at some instant: it has sums of its own from
+then on. Earlier bearings still count for the observer's errors, whichever target they were of.
 """
 
 from __future__ import annotations
@@ -22,6 +21,7 @@ from swarmtrack.messages import Array
 from swarmtrack.team.evidence import design
 from swarmtrack.team.priors import (
     BEARINGS_LAST_S,
+    BOX_SETTLED_S,
     BOX_SIZE_SIGMA_LN,
     HANDOVER_MET,
     HANDOVER_MISSED_PER_S,
@@ -36,15 +36,16 @@ from swarmtrack.team.priors import (
     TRACKS_MEET_PX,
 )
 from swarmtrack.team.strangers import KINDS, StrangerFilters
+from swarmtrack.team.wander import Wander, WanderFilters
 
-# Columns of a sum: M, the log normalisers, the stranger's log densities, and how many whole bearings.
+# Columns of a sum: M, the log normalisers, the stranger's log densities, and the seconds of bearings.
 _M = slice(0, 64)
 _LOG = 64
 _STRANGER = slice(65, 65 + KINDS)
 _COUNT = 65 + KINDS
 _WIDTH = _COUNT + 1
-# A bearing so soon after the last is none.
-_LEAST_WEIGHT = 0.05
+# s: a bearing so soon after the last is none.
+_LEAST_STEP_S = 0.02
 
 
 class Bearing(NamedTuple):
@@ -63,11 +64,12 @@ class Bearing(NamedTuple):
 
 @dataclass(slots=True)
 class TrackSegment:
-    """since [s]; before (n, …): the sums then, None for the first; log_handover: log prior that it began there; base
-    (k,): log evidence of all that was before, by component."""
+    """since [s]; sum (n, …): of the bearings since then; wander: of the teammates; log_handover: log prior that it began
+    there; base (k,): log evidence of all that was before, by component, None for the first."""
 
     since: float
-    before: Array | None = None
+    sum: Array
+    wander: WanderFilters
     log_handover: float = 0.0
     base: Array | None = None
     weight: float = 1.0
@@ -76,13 +78,13 @@ class TrackSegment:
 class Compared(NamedTuple):
     """m teammates at the time of a bearing.
 
-    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started, and sigma (m,) m;
-    log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance.
+    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; wander: how far it may
+    be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance.
     """
 
     columns: NDArray[np.intp]
     place: Array
-    sigma: Array
+    wander: Wander
     log_span: Array
     span_variance: Array
 
@@ -91,7 +93,7 @@ class Compared(NamedTuple):
         return Compared(
             self.columns[chosen],
             self.place[chosen],
-            self.sigma[chosen],
+            Wander(*(of[chosen] for of in self.wander)),
             self.log_span[chosen],
             self.span_variance[chosen],
         )
@@ -117,9 +119,8 @@ class TrackEvidence:
 
     n: int
     camera: int
-    segments: list[TrackSegment] = field(default_factory=lambda: [TrackSegment(-math.inf)])
+    segments: list[TrackSegment] = field(init=False)
     t: float = -math.inf
-    sum: Array = field(init=False)
     size: Array = field(init=False)
     """(n, 8, 8): of the last box's size."""
     size_log: Array = field(init=False)
@@ -137,7 +138,7 @@ class TrackEvidence:
 
     def __post_init__(self) -> None:
         n, self.n = self.n, 0
-        self.sum = np.zeros((0, _WIDTH))
+        self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), WanderFilters(0))]
         self.size, self.size_log = np.zeros((0, 8, 8)), np.zeros(0)
         self.strangers = StrangerFilters(0)
         self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
@@ -153,50 +154,49 @@ class TrackEvidence:
         more = n - self.n
         if more <= 0:
             return
-        self.sum = np.concatenate([self.sum, np.zeros((more, _WIDTH))])
         self.size = np.concatenate([self.size, np.zeros((more, 8, 8))])
         self.size_log = np.concatenate([self.size_log, np.zeros(more)])
         self._at = np.concatenate([self._at, np.full(more, -math.inf)])
         self._camera_at = np.concatenate([self._camera_at, np.zeros((more, 3))])
         for segment in self.segments:
-            if segment.before is not None:
-                segment.before = np.concatenate([segment.before, np.zeros((more, _WIDTH))])
+            segment.sum = np.concatenate([segment.sum, np.zeros((more, _WIDTH))])
+            segment.wander.grow(n)
         self.strangers.grow(n)
         self.n = n
 
     def forget(self, column: int) -> None:
         """What was said of a teammate counts no more: it is another life."""
-        self.sum[column] = 0.0
         self.size[column], self.size_log[column] = 0.0, 0.0
         self._at[column] = -math.inf
         self.strangers.restart(column)
         for segment in self.segments:
-            if segment.before is not None:
-                segment.before[column] = 0.0
+            segment.sum[column] = 0.0
+            segment.wander.restart(column)
 
     def remove(self, column: int) -> None:
         """A teammate is compared no more."""
-        self.sum, self.size = np.delete(self.sum, column, 0), np.delete(self.size, column, 0)
-        self.size_log, self._at = np.delete(self.size_log, column), np.delete(self._at, column)
-        self._camera_at = np.delete(self._camera_at, column, 0)
+        self.size, self.size_log = np.delete(self.size, column, 0), np.delete(self.size_log, column)
+        self._at, self._camera_at = np.delete(self._at, column), np.delete(self._camera_at, column, 0)
         for segment in self.segments:
-            if segment.before is not None:
-                segment.before = np.delete(segment.before, column, 0)
+            segment.sum = np.delete(segment.sum, column, 0)
+            segment.wander.remove(column)
         self.strangers.remove(column)
         self.n -= 1
 
     def turn(self, to_old: Array, rotation: Array) -> None:
         """The axes of the own rays have turned: rotation (3, 3) takes directions along, to_old (8, 8) z back."""
-        for sums in (self.sum, *(s.before for s in self.segments if s.before is not None)):
-            M = sums[:, _M].reshape(-1, 8, 8)
-            sums[:, _M] = (to_old.T @ M @ to_old).reshape(-1, 64)
+        for segment in self.segments:
+            M = segment.sum[:, _M].reshape(-1, 8, 8)
+            segment.sum[:, _M] = (to_old.T @ M @ to_old).reshape(-1, 64)
+            segment.wander.turn(to_old, rotation)
         self.size = to_old.T @ self.size @ to_old
         self.strangers.turn(rotation)
 
     def fade(self, t: float) -> None:
         """On to t [s], where that is later."""
         if t > self.t:
-            self.sum *= fading(t - self.t) if math.isfinite(self.t) else 1.0
+            for segment in self.segments:
+                segment.sum *= fading(t - self.t) if math.isfinite(self.t) else 1.0
             self.t = t
 
     def add(self, bearing: Bearing, mates: Compared, own_way: Array) -> None:
@@ -204,35 +204,37 @@ class TrackEvidence:
         own start."""
         self.fade(bearing.t)
         since = bearing.t - self._at[mates.columns]
-        counts = np.clip(since / ROUND_S, 0.0, 1.0) > _LEAST_WEIGHT
+        counts = since > _LEAST_STEP_S
         if not counts.any():
             return
         mates, since = mates.only(counts), since[counts]
-        j, weight, first = mates.columns, np.minimum(since / ROUND_S, 1.0), ~np.isfinite(since)
-        rho = bearing.distance
-        across = bearing.variance * rho**2 + mates.sigma**2
+        j, first = mates.columns, ~np.isfinite(since)
+        rho, d = bearing.distance, bearing.direction
+        white = bearing.variance * rho**2 + mates.wander.white
         G = design(mates.place, own_way)
-        along = bearing.direction @ G
-        said = np.empty((len(j), _WIDTH))
-        M = G.swapaxes(1, 2) @ G - along[:, :, None] * along[:, None, :]
-        said[:, _M] = (M / across[:, None, None]).reshape(-1, 64)
-        said[:, _LOG] = 2.0 * math.log(rho) - np.log(2.0 * math.pi * across)
-        said[:, _COUNT] = 1.0
+        along = d @ G
+        across = G - d[:, None] * along[:, None]
         moved = np.where(first[:, None], 0.0, bearing.camera - self._camera_at[j])
-        said[:, _STRANGER] = self.strangers.predict_and_update(
+        stranger = self.strangers.predict_and_update(
             j,
-            bearing.direction,
+            d,
             dt=np.where(first, 0.0, since),
-            parallax=-(moved - (moved @ bearing.direction)[:, None] * bearing.direction) / rho,
-            variance=across / rho**2,
+            parallax=-(moved - (moved @ d)[:, None] * d) / rho,
+            variance=white / rho**2,
             distance=np.full(len(j), rho),
-            weight=weight,
         )
-        said *= weight[:, None]
-        self.sum[j] += said
         for segment in self.segments:
-            if segment.before is not None and bearing.t < segment.since:
-                segment.before[j] += said
+            if bearing.t < segment.since:
+                continue
+            left, S = segment.wander.innovations(
+                j, across, d, bearing.t, mates.wander._replace(white=white)
+            )
+            said = np.empty((len(j), _WIDTH))
+            said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
+            said[:, _LOG] = 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
+            said[:, _COUNT] = np.minimum(since, ROUND_S)
+            said[:, _STRANGER] = stranger
+            segment.sum[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
         variance = mates.span_variance + BOX_SIZE_SIGMA_LN**2
         self._add_size(j, along, rho * np.exp(mates.log_span), variance)
@@ -241,7 +243,7 @@ class TrackEvidence:
 
     def _add_size(self, j: NDArray[np.intp], along: Array, rho: Array, variance: Array) -> None:
         """A box says how far its drone is, once it has settled; of many, all err alike, and one counts."""
-        settled = (self.sum[j, _COUNT] > 0.9) & (self.size_log[j] == 0.0)
+        settled = (self.segments[0].sum[j, _COUNT] > BOX_SETTLED_S) & (self.size_log[j] == 0.0)
         j, along, rho, variance = j[settled], along[settled], rho[settled], variance[settled]
         residual = along.copy()
         residual[:, 4] -= rho
@@ -253,7 +255,7 @@ class TrackEvidence:
     @property
     def is_whole(self) -> NDArray[np.bool_]:
         """(s,): the segments that begin with the track."""
-        return np.array([segment.before is None for segment in self.segments])
+        return np.array([segment.base is None for segment in self.segments])
 
     @property
     def likeliest_segment(self) -> int:
@@ -281,7 +283,9 @@ class TrackEvidence:
         self.fade(t)
         if len(self.segments) > SEGMENTS_KEPT:
             del self.segments[min(range(len(self.segments)), key=lambda s: self.segments[s].weight)]
-        self.segments.append(TrackSegment(t, self.sum.copy(), log_handover, base))
+        self.segments.append(
+            TrackSegment(t, np.zeros((self.n, _WIDTH)), WanderFilters(self.n), log_handover, base)
+        )
 
     def weigh_segments(self, weight: Array) -> None:
         """weight (s,): how likely it is that the present target is that since then."""
@@ -293,10 +297,7 @@ class TrackEvidence:
     def told(self, t: float) -> Told:
         """What bearings say at t of each segment and teammate."""
         self.fade(t)
-        since = [
-            self.sum if s.before is None else self.sum - fading(t - s.since) * s.before for s in self.segments
-        ]
-        sums = np.array(since)
+        sums = np.array([segment.sum for segment in self.segments])
         M = sums[..., _M].reshape(*sums.shape[:2], 8, 8) + self.size
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
         log = sums[..., _LOG] + self.is_whole[:, None] * self.size_log - stranger

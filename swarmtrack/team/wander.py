@@ -1,0 +1,85 @@
+"""How far a teammate is from where it says it is.
+
+Its own estimate, its controller and the wind take it aside smoothly: that is a state and no noise, a critically damped
+process across the bearing. Where the teammate should be is linear in unknowns z (`evidence.py`), so the estimate of
+that state is as well: here it is a matrix that takes z to metres. What is left of each bearing, the innovations, is
+white, and adds up to a likelihood of z.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.messages import Array
+
+
+class Wander(NamedTuple):
+    """Of m teammates (m,): sigma [m] per axis, bandwidth [rad/s], and the white variance [m²] on top."""
+
+    sigma: Array
+    bandwidth: Array
+    white: Array
+
+
+class WanderFilters:
+    """Filters of n teammates. `aside` (n, 2, 3, 8): of z, how far it is aside [m] and how fast [m/s]."""
+
+    def __init__(self, n: int) -> None:
+        self._aside = np.zeros((n, 2, 3, 8))
+        self._cov = np.zeros((n, 3))
+        self._t = np.full(n, -math.inf)
+
+    def grow(self, n: int) -> None:
+        """Room for n teammates."""
+        more = WanderFilters(n)
+        k = len(self._t)
+        for name, value in vars(self).items():
+            vars(more)[name][:k] = value
+        vars(self).update(vars(more))
+
+    def remove(self, column: int) -> None:
+        """One teammate less."""
+        for name, value in vars(self).items():
+            vars(self)[name] = np.delete(value, column, 0)
+
+    def restart(self, column: int) -> None:
+        """That filter begins again."""
+        self._t[column] = -math.inf
+
+    def turn(self, to_old: Array, rotation: Array) -> None:
+        """The axes of the own rays have turned: rotation (3, 3) takes directions along, to_old (8, 8) z back."""
+        self._aside = rotation @ self._aside @ to_old
+
+    def innovations(
+        self, columns: Array, across: Array, direction: Array, t: float, wander: Wander
+    ) -> tuple[Array, Array]:
+        """Fold in a bearing along direction (3,) at t of these teammates. across (m, 3, 8): where each should be across
+        it, of z. Returns what is left of that (m, 3, 8), and its variance (m,) m² per axis."""
+        begun = np.isfinite(self._t[columns])
+        dt = np.where(begun, t - self._t[columns], 0.0)
+        w, v = wander.bandwidth, wander.sigma**2
+        decay = np.exp(-w * dt)
+        F = decay * np.array([1.0 + w * dt, dt, -w * w * dt, 1.0 - w * dt])
+        x, P = self._aside[columns], self._cov[columns]
+        f = F[:, :, None, None]
+        ahead = np.stack([f[0] * x[:, 0] + f[1] * x[:, 1], f[2] * x[:, 0] + f[3] * x[:, 1]], axis=1)
+        # The stationary covariance, and what is known better than by it.
+        d00, d01, d11 = P[:, 0] - v, P[:, 1], P[:, 2] - v * w * w
+        p00 = v + F[0] ** 2 * d00 + 2.0 * F[0] * F[1] * d01 + F[1] ** 2 * d11
+        p01 = F[0] * F[2] * d00 + (F[0] * F[3] + F[1] * F[2]) * d01 + F[1] * F[3] * d11
+        p11 = v * w * w + F[2] ** 2 * d00 + 2.0 * F[2] * F[3] * d01 + F[3] ** 2 * d11
+        ahead[~begun] = 0.0
+        p00, p01, p11 = np.where(begun, p00, v), np.where(begun, p01, 0.0), np.where(begun, p11, v * w * w)
+        left = across - ahead[:, 0]
+        left -= direction[:, None] * (direction @ left)[:, None]
+        S = p00 + wander.white
+        k0, k1 = p00 / S, p01 / S
+        ahead[:, 0] += k0[:, None, None] * left
+        ahead[:, 1] += k1[:, None, None] * left
+        self._aside[columns] = ahead
+        self._cov[columns] = np.stack([p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01], axis=1)
+        self._t[columns] = t
+        return left, S
