@@ -25,16 +25,19 @@ import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import harness
-from swarmtrack.benchmarks.harness import Flights, option, quantile, seeds
+from swarmtrack.benchmarks.harness import MODEL, Flights, option, quantile, seeds
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.identity.motion_evidence import PUBLISHED, MotionEvidence, Saying
+from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.proof import PROVED
 from swarmtrack.identity.reprojection import ObserverCamera
-from swarmtrack.messages import Array, Track, TrackStatus
+from swarmtrack.messages import FOREIGN, Announcement, Array, MotionReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
+from swarmtrack.runtime.filed import SOMEWHERE_M
+from swarmtrack.team.joint_identities import JointIdentities
 from swarmtrack.tracking.marginals import matching_marginals
 
 TEAMS = (3, 5, 10)
@@ -197,9 +200,56 @@ class _Scene:
         ], view
 
 
-def trial(row: Row, n: int, seed: int) -> Trial:
+class _Joint:
+    """The joint posterior in the place of motion evidence, told that nobody's start is known."""
+
+    def __init__(self, n: int) -> None:
+        self._ids = JointIdentities(
+            n + 1, cameras=[(CAMERA, MOUNT)], parameters=IdentityParameters(model="joint"), start_sigma_m=0.0
+        )
+        self._tracks: dict[int, Track] = {}
+        for drone in range(n):
+            self._ids.announce(
+                Announcement(drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), SOMEWHERE_M**2 * np.eye(3))
+            )
+
+    def hear(self, said: Saying) -> None:
+        sure = SAID_M_S**2 * np.eye(3)
+        self._ids.on_motion(
+            MotionReport(said.drone_id + 1, "boot", 1, said.t, CLOCK_S, said.displacement, sure, said.velocity, sure)
+        )
+
+    def observe(self, tracks: list[Track], view: ObserverCamera) -> None:
+        t = view.observer.t
+        shown = {track.id: track for track in tracks if np.isfinite(track.mean).all()}
+        missed = [
+            track._replace(t=t, coasting_since=track.coasting_since or t)
+            for id, track in self._tracks.items()
+            if id not in shown
+        ]
+        self._tracks |= shown | {track.id: track for track in missed}
+        self._ids.observe([*shown.values(), *missed], view.observer)
+
+    def called(self) -> dict[int, int]:
+        """By track, the name that an agent would give it."""
+        labelled = self._ids.label(self._tracks.values())
+        return {
+            one.track.id: STRANGER if one.identity == FOREIGN else one.identity - 1
+            for one in labelled
+            if one.identity is not None
+        }
+
+    def log_ratio(self, track: int, drone: int) -> float:
+        named = self._ids._posterior.named.get(track)
+        if named is None: return 0.0
+        p = named.p.get(drone + 1, 0.5)
+        return math.log(max(p, 1e-300) / max(1.0 - p, 1e-300))
+
+
+def trial(row: Row, n: int, seed: int, *, model: str = "matching") -> Trial:
     """One flight of n drones; the same arguments give the same."""
-    scene, found = _Scene(row, n, seed), MotionEvidence()
+    scene = _Scene(row, n, seed)
+    found = _Joint(n) if model == "joint" else MotionEvidence()
     names: dict[int, int] = {}
     named, exposed, said, spent, scans = math.inf, math.inf, math.inf, 0.0, 0
     accused: set[int] = set()
@@ -211,7 +261,7 @@ def trial(row: Row, n: int, seed: int) -> Trial:
         began = time.process_time()
         found.observe(tracks, view)
         spent, scans = spent + time.process_time() - began, scans + 1
-        called = _called(found, n)
+        called = found.called() if isinstance(found, _Joint) else _called(found, n)
         for track, name in called.items():
             names.setdefault(track, name)
         if called.get(0) == liar:
@@ -267,7 +317,7 @@ def _rows(args: argparse.Namespace) -> list[harness.Row]:
     return [
         harness.Row(
             row.name,
-            partial(trial, row, n),
+            partial(trial, row, n, model=args.model),
             partial(summarise, row, n),
             {"row": row.name, "drones": n, "flights": args.seeds},
         )
@@ -292,9 +342,10 @@ BENCH = Flights(
             default=list(TEAMS),
             metavar="N",
         ),
+        MODEL,
     ),
     rows=_rows,
-    facts=lambda args: {},
+    facts=lambda args: {"model": args.model},
     columns=(
         ("what they do", "{row}"),
         ("drones", "{drones}"),

@@ -110,9 +110,9 @@ class JointMixture:
         used = self._awake()
         log_prior, off = self.errors.log_prior(known.heading_sigma)
         log_w = log_prior[used] + self._told_at(t)[used]
-        base = [track.bases(len(self.errors), t)[:, used] for track in tracks]
+        base = [track.bases(len(self.errors))[:, used] for track in tracks]
         each = [np.full((*b.shape, len(mates)), -np.inf) for b in base]
-        told = [track.told(t) for track in tracks]
+        told = [track.told() for track in tracks]
         for c, mate in enumerate(mates):
             log_w = log_w + self._of_teammate(c, mate, tracks, told, each, used=used, t=t, known=known)
         nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
@@ -237,7 +237,7 @@ class JointMixture:
     ) -> tuple[Array, Array]:
         """Where a teammate is that is that track: mean (3,) m from the own camera and covariance (3, 3), in the axes of
         the own rays. design (3, 8): `evidence.design` of where it says that it is."""
-        M = mate.told(t) + track.told(t).M[track.likeliest_segment, mate.column]
+        M = mate.told(t) + track.told().M[track.likeliest_segment, mate.column]
         likely = np.argsort(-self.weight)[:PLACE_COMPONENTS]
         marginal = self._marginal(mate, M[None], likely, known)
         log, mean, spread = [], [], []

@@ -80,6 +80,9 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
     loose = [
         dataclasses.replace(one, prior=one.prior * P_STARTS_LOOSE / P_START_OFF, loose=True) for one in rings
     ]
+    if len(pads) < 2:
+        # By nobody's start an own one that is off is not seen.
+        return [nominal, *headings]
     if len(pads) > SINGLE_FAULTS_FROM:
         return [nominal, *headings, *rings, *loose]
     permutations = [

@@ -31,6 +31,7 @@ from swarmtrack.team.priors import (
     CALM_WEIGHED_EVERY_S,
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
+    MOTION_WAIT_S,
     P_BELIEVED,
     P_FRAME_KEPT,
     P_SIZE_LEARNED,
@@ -93,6 +94,7 @@ class TeamPosterior:
         self._scans: list[deque[BearingScan]] = [deque() for _ in range(cameras)]
         self._round = [-math.inf] * cameras
         """By camera, the time of the last round, s."""
+        self._followed = [-math.inf] * cameras
         self._watched = [math.nan] * cameras
         self._missed: dict[int, float] = {}
         self._sure_t: dict[int, float] = {}
@@ -191,9 +193,7 @@ class TeamPosterior:
             if not bearing.weak and (self._team_has_changed or id not in self._tracks)
         ]
         self._compare(scan, new, self.teammates.values())
-        agreed = [mate for mate in self.teammates.values() if mate.agreed(t)]
-        if agreed:
-            self._compare(scan, [id for id in scan.bearings if id in self._tracks], agreed)
+        compared |= self._follow(scan) and t - self._weighed >= ROUND_S
         is_due = t - self._weighed >= CALM_WEIGHED_EVERY_S
         if new or self._team_has_changed or is_due or (compared and not self._is_calm):
             self._weigh(t)
@@ -216,8 +216,28 @@ class TeamPosterior:
             nearest = min(self._scans[number], key=lambda kept: abs(kept.t - due))
             if abs(nearest.t - due) < ROUND_NEAR_S:
                 ids = [id for id in nearest.bearings if id in self._tracks or id in scan.bearings]
-                self._compare(nearest, ids, self.teammates.values())
+                others = [mate for mate in self.teammates.values() if not mate.is_followed(t)]
+                self._compare(nearest, ids, others)
         return self._round[number] > before
+
+    def _follow(self, scan: BearingScan) -> bool:
+        """Compare every scan with the teammates of which it is known how they move then. Returns whether there was any."""
+        number, t = scan.camera, scan.t
+        followed = [mate for mate in self.teammates.values() if mate.is_followed(t)]
+        if not followed:
+            self._followed[number] = t
+            return False
+        any_compared = False
+        for kept in self._scans[number]:
+            if kept.t <= self._followed[number]:
+                continue
+            if kept.t >= t - MOTION_WAIT_S and not all(mate.has_said(kept.t) for mate in followed):
+                break
+            self._followed[number] = kept.t
+            ids = [id for id in kept.bearings if id in self._tracks]
+            self._compare(kept, ids, followed)
+            any_compared = True
+        return any_compared
 
     def _compare(self, scan: BearingScan, ids: Sequence[int], mates: Collection[Teammate]) -> None:
         """Tracks with teammates, in one scan."""
@@ -266,14 +286,14 @@ class TeamPosterior:
             return
         drone, p = named.likeliest
         mate, best = self.teammates.get(drone), track.likeliest_segment
-        if mate is not None and P_SUPPOSED < p <= P_FRAME_KEPT:
-            mate.suppose(track.told(t).M[best, mate.column], p, t)
+        if mate is not None and mate.knows_start and P_SUPPOSED < p <= P_FRAME_KEPT:
+            mate.suppose(track.told().M[best, mate.column], p, t)
         if t - sure_t > BELIEVED_ENDED_S:
             return
         told = track.whole
         if mate is not None and p > P_FRAME_KEPT:
-            mate.keep(track.told(t).M[best, mate.column], t)
-            told = track.bases(len(told), t)[best]
+            mate.keep(track.told().M[best, mate.column], t)
+            told = track.bases(len(told))[best]
         self.mixture.keep(told, t)
 
     # --- what it makes of it ---

@@ -60,9 +60,11 @@ SOMEWHERE_SIGMA_M = 30.0
 
 # --- Bearings and reported places. ---
 
-# How far a teammate is from where it says it is: smoothly, m and rad/s, and white.
-REPORTED_PLACE_SIGMA_M, REPORTED_PLACE_BANDWIDTH_RAD_S, REPORTED_PLACE_WHITE_M = 0.12, 0.5, 0.05
-# The same of who flies a code, or a plan.
+# White error of a reported place against the one that is flown.
+REPORTED_PLACE_SIGMA_M = 0.12
+# How far a teammate is from where it says that it moved, smoothly, m and rad/s, and white; the same of who flies a code,
+# and a plan.
+MOTION_WANDER, MOTION_WHITE_M = (0.03, 0.5), 0.02
 CODED_WANDER, PLANNED_WANDER, AGREED_WHITE_M = (0.1, 1.5), (0.3, 1.0), 0.02
 # How much farther off a place is that is carried on from the last report: of a drone that moves, and one that hovers.
 CARRIED_MOVING_M_S, CARRIED_HOVERING_M_S, MOVING_M_S = 0.6, 0.2, 0.3
@@ -75,12 +77,14 @@ FARTHEST_COMPARED_M = 2000.0
 BEND_ERROR = 0.7
 # Beside what the tracker says: of the own attitude, of a box's centre against its drone's.
 BEARING_SIGMA_RAD, CENTRE_SIGMA_PX2 = 4e-3, 1.0
+# What lasts of the own attitude's error.
+ATTITUDE_WANDER_RAD = 0.006
 # Bearings are compared in rounds, those of an agreed motion in every scan.
 ROUND_S = 0.5
 # A comparison is of bearings at most this far from the round's time.
 ROUND_NEAR_S = 0.2
-# So long is waited for a report of the same time; then for nobody.
-REPORT_WAIT_S = 1.6
+# So long is waited for a report of the same time, and for one of who says how it moves; then for nobody.
+REPORT_WAIT_S, MOTION_WAIT_S = 1.6, 0.5
 # What bearings say fades: errors that were taken to be constant wander.
 BEARINGS_LAST_S = 40.0
 # What ended tracks said of the own errors lasts longer.

@@ -20,9 +20,9 @@ from swarmtrack.team.priors import (
     CARRIED_MOST_S,
     CARRIED_MOVING_M_S,
     MOVING_M_S,
-    REPORTED_PLACE_BANDWIDTH_RAD_S,
+    MOTION_WANDER,
+    MOTION_WHITE_M,
     REPORTED_PLACE_SIGMA_M,
-    REPORTED_PLACE_WHITE_M,
 )
 
 # Reports kept: a few seconds of the quickest sender.
@@ -32,11 +32,14 @@ _CURVE_LEAST_S, _CURVE_MOST_S = 0.3, 2.5
 
 
 class Report(NamedTuple):
-    """A place (3,) m in the teammate's own frame at t [s], and its velocity (3,) m/s where it is known."""
+    """A place (3,) m in the teammate's own frame at t [s], and its velocity (3,) m/s where it is known; measured: that
+    it says both of them itself; t_sigma [s]."""
 
     t: float
     place: Array
     velocity: Array | None
+    measured: bool = False
+    t_sigma: float = 0.0
 
 
 class SaidPlace(NamedTuple):
@@ -84,7 +87,7 @@ class ReportedPlaces:
             moves = bool(np.linalg.norm(here.velocity) > MOVING_M_S)
         rate = CARRIED_MOVING_M_S if moves else CARRIED_HOVERING_M_S
         carried = rate * max(abs(t - here.t) - CARRIED_FREE_S, 0.0)
-        return _said(place, carried)
+        return _said(place, carried, here)
 
     def _between(self, k: int, t: float) -> SaidPlace:
         here, there = self._reports[k], self._reports[k + 1]
@@ -99,9 +102,12 @@ class ReportedPlaces:
         on, left = min(t - here.t, step), max(there.t - t, 0.0)
         place = here.place + on * slope - on * left * bend
         error = BEND_ERROR * float(np.linalg.norm(bend)) * on * left
-        return _said(place, error)
+        return _said(place, error, here)
 
 
-def _said(place: Array, white_sigma: float) -> SaidPlace:
-    white = REPORTED_PLACE_WHITE_M**2 + white_sigma**2
-    return SaidPlace(place, REPORTED_PLACE_SIGMA_M, REPORTED_PLACE_BANDWIDTH_RAD_S, white)
+def _said(place: Array, white_sigma: float, report: Report) -> SaidPlace:
+    if not report.measured or report.velocity is None:
+        return SaidPlace(place, 0.0, 1.0, REPORTED_PLACE_SIGMA_M**2 + white_sigma**2)
+    sigma, bandwidth = MOTION_WANDER
+    sigma = math.hypot(sigma, report.t_sigma * float(np.linalg.norm(report.velocity)))
+    return SaidPlace(place, sigma, bandwidth, MOTION_WHITE_M**2 + white_sigma**2)

@@ -12,6 +12,7 @@ from swarmtrack.team.priors import (
     AGREED_WHITE_M,
     BOX_SPAN_SIGMA_LN,
     CODED_WANDER,
+    MOTION_WAIT_S,
     PLACE_LASTS_S,
     PLANNED_WANDER,
     SOMEWHERE_SIGMA_M,
@@ -94,7 +95,8 @@ class Teammate:
             on = np.zeros(3) if last.velocity is None else (report.t - last.t) * last.velocity
             self._origin = last.place + on - report.displacement
         self._motion_t = report.t
-        self.path.append(Report(report.t, self._origin + report.displacement, report.velocity))
+        place = self._origin + report.displacement
+        self.path.append(Report(report.t, place, report.velocity, measured=True, t_sigma=report.t_sigma))
 
     def at(self, t: float) -> SaidPlace:
         """Where it says that it was at t, in its own frame."""
@@ -115,9 +117,9 @@ class Teammate:
         """Whether nothing has to be waited for to know where it was at t."""
         return self._agreed_at(t) is not None or self.path.last.t >= t
 
-    def agreed(self, t: float) -> bool:
-        """Whether it moves at t as was agreed before the flight."""
-        return self._agreed_at(t) is not None
+    def is_followed(self, t: float) -> bool:
+        """Whether every scan at about t can be compared with its motion: an agreed one, or one that it says."""
+        return self._agreed_at(t) is not None or t - self._motion_t <= MOTION_WAIT_S
 
     def _agreed_at(self, t: float) -> AgreedMotion | None:
         return next((motion for motion in self.motions if motion.t[0] <= t <= motion.t[-1]), None)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.team.evidence import design
 from swarmtrack.team.priors import (
+    ATTITUDE_WANDER_RAD,
     BEARINGS_LAST_S,
     BOX_SETTLED_S,
     BOX_SIZE_SIGMA_LN,
@@ -192,8 +193,8 @@ class TrackEvidence:
         self.size = to_old.T @ self.size @ to_old
         self.strangers.turn(rotation)
 
-    def fade(self, t: float) -> None:
-        """On to t [s], where that is later."""
+    def _fade(self, t: float) -> None:
+        """On to a bearing at t [s]: what was said fades as more is said."""
         if t > self.t:
             for segment in self.segments:
                 segment.sum *= fading(t - self.t) if math.isfinite(self.t) else 1.0
@@ -202,15 +203,19 @@ class TrackEvidence:
     def add(self, bearing: Bearing, mates: Compared, own_way: Array) -> None:
         """Compare a bearing with some teammates; it may be a second or two old. own_way (3,) m: of the camera, from the
         own start."""
-        self.fade(bearing.t)
         since = bearing.t - self._at[mates.columns]
         counts = since > _LEAST_STEP_S
         if not counts.any():
             return
+        self._fade(bearing.t)
         mates, since = mates.only(counts), since[counts]
         j, first = mates.columns, ~np.isfinite(since)
         rho, d = bearing.distance, bearing.direction
         white = bearing.variance * rho**2 + mates.wander.white
+        wander = mates.wander._replace(
+            sigma=np.where(mates.wander.sigma > 0.0, np.hypot(mates.wander.sigma, ATTITUDE_WANDER_RAD * rho), 0.0),
+            white=white,
+        )
         G = design(mates.place, own_way)
         along = d @ G
         across = G - d[:, None] * along[:, None]
@@ -226,9 +231,7 @@ class TrackEvidence:
         for segment in self.segments:
             if bearing.t < segment.since:
                 continue
-            left, S = segment.wander.innovations(
-                j, across, d, bearing.t, mates.wander._replace(white=white)
-            )
+            left, S = segment.wander.innovations(j, across, d, bearing.t, wander)
             said = np.empty((len(j), _WIDTH))
             said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
             said[:, _LOG] = 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
@@ -280,7 +283,6 @@ class TrackEvidence:
     def begin_segment(self, t: float, log_handover: float, base: Array) -> None:
         """From t on it may be another; base (k,): log evidence of all until then. Of too many segments the least likely
         is dropped."""
-        self.fade(t)
         if len(self.segments) > SEGMENTS_KEPT:
             del self.segments[min(range(len(self.segments)), key=lambda s: self.segments[s].weight)]
         self.segments.append(
@@ -294,20 +296,19 @@ class TrackEvidence:
 
     # --- what is said ---
 
-    def told(self, t: float) -> Told:
-        """What bearings say at t of each segment and teammate."""
-        self.fade(t)
+    def told(self) -> Told:
+        """What bearings say of each segment and teammate."""
         sums = np.array([segment.sum for segment in self.segments])
-        M = sums[..., _M].reshape(*sums.shape[:2], 8, 8) + self.size
+        M = sums[..., _M].reshape(*sums.shape[:2], 8, 8) + self.is_whole[:, None, None, None] * self.size
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
         log = sums[..., _LOG] + self.is_whole[:, None] * self.size_log - stranger
         return Told(M, log, self.compared)
 
-    def bases(self, k: int, t: float) -> Array:
+    def bases(self, k: int) -> Array:
         """(s, k): log evidence of all before each segment, with its prior."""
         return np.array(
             [
-                np.full(k, s.log_handover) + (0.0 if s.base is None else fading(t - s.since) * s.base)
+                np.full(k, s.log_handover) + (0.0 if s.base is None else fading(max(self.t - s.since, 0.0)) * s.base)
                 for s in self.segments
             ]
         )
