@@ -26,6 +26,7 @@ from swarmtrack.team.priors import (
     LOG_RATIO_LEAST,
     LOG_RATIO_MOST,
     LOG_SEEN,
+    LOG_SEEN_SOMEWHERE,
     LOG_SLEEPS,
     LOG_WEAK,
     OWN_ERRORS_LAST_S,
@@ -167,7 +168,8 @@ class JointMixture:
     ) -> Array:
         """(k,): what is known of one teammate says of the components used; its log ratios go into column c of `each`,
         by segment of each track."""
-        new = np.concatenate([np.zeros((1, 8, 8)), *(found.M[:, mate.column] for found in told)])
+        cases = [found.of(mate.column) for found in told]
+        new = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _, _ in cases)])
         E = self._evidence(mate, mate.told(t) + new, used, known)
         log_w = E[0] - E[0].max()
         if mate.doubting:
@@ -178,15 +180,17 @@ class JointMixture:
             other = other - other[0]
             E = np.logaddexp(math.log(1.0 - mate.p_supposed) + E, math.log(mate.p_supposed) + other)
         at = 1
-        for track, found, into in zip(tracks, told, each, strict=True):
-            segments = len(found.M)
+        for track, found, (M, weight, whole), into in zip(tracks, told, cases, each, strict=True):
             if found.known[mate.column]:
-                log = E[at : at + segments] + found.log[:, mate.column, None]
-                log[track.is_whole] += LOG_SEEN + track.weak * LOG_WEAK
+                log = E[at : at + len(M)] + weight[:, None]
+                seen = LOG_SEEN if mate.knows_start else LOG_SEEN_SOMEWHERE
+                log[:whole] += seen + track.weak * LOG_WEAK
                 # Whoever takes over a track may be any of the team.
-                log[~track.is_whole] -= math.log(len(self._priors))
+                log[whole:] -= math.log(len(self._priors))
+                if whole > 1:
+                    log = np.concatenate([np.logaddexp.reduce(log[:whole], axis=0)[None], log[whole:]])
                 into[:, :, c] = np.minimum(log, LOG_RATIO_MOST)
-            at += segments
+            at += len(M)
         return np.asarray(log_w)
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
@@ -237,7 +241,10 @@ class JointMixture:
     ) -> tuple[Array, Array]:
         """Where a teammate is that is that track: mean (3,) m from the own camera and covariance (3, 3), in the axes of
         the own rays. design (3, 8): `evidence.design` of where it says that it is."""
-        M = mate.told(t) + track.told().M[track.likeliest_segment, mate.column]
+        cases, weight, whole = track.told().of(mate.column)
+        segment = track.likeliest_segment
+        at = segment - 1 + whole if segment or not whole else int(weight[:whole].argmax())
+        M = mate.told(t) + cases[at]
         likely = np.argsort(-self.weight)[:PLACE_COMPONENTS]
         marginal = self._marginal(mate, M[None], likely, known)
         log, mean, spread = [], [], []

@@ -252,6 +252,7 @@ class TeamPosterior:
             wander=Wander(*np.array([said[1:] for _, said in near]).T),
             log_span=np.array([mate.log_span for mate, _ in near]),
             span_variance=np.array([mate.span_variance for mate, _ in near]),
+            is_near=np.array([mate.knows_start for mate, _ in near]),
         )
         knows = np.array([mate.knows(scan.t) for mate, _ in near])
         for id in ids:

@@ -95,9 +95,11 @@ OWN_ERRORS_LAST_S = 120.0
 # The larger side of a box, m, and how it varies: between airframes, and from box to box.
 BOX_SPAN_M, BOX_SPAN_SIGMA_LN, BOX_SIZE_SIGMA_LN = 0.55, 0.22, 0.3
 BOX_SPAN_LEAST_SIGMA_LN = 0.1
-# A box has settled after so many seconds of bearings.
-BOX_SETTLED_S = 0.45
+# A box is blurred, cut or around more than its drone.
+P_BOX_ODD = 1e-6
 BOX_LEARNED_EVERY_S = 1.0
+# Where nothing but its box says how far a target is, distances are so far from each other.
+DISTANCE_STEP_LN = 0.45
 # A stranger's distance is anywhere within this, ln.
 STRANGER_DISTANCE_RANGE_LN = 3.0
 NEAREST_BOX_M, FARTHEST_BOX_M = 1.0, 80.0
@@ -117,6 +119,8 @@ STRANGER_PARALLAX_SIGMA = 0.4
 # others are seen, those that have none, and strangers in a picture.
 P_TEAMMATE_SEEN, P_TEAMMATE_MISSED, STRANGERS_SEEN = 0.9, 0.3, 0.3
 LOG_SEEN = math.log(P_TEAMMATE_SEEN / P_TEAMMATE_MISSED / STRANGERS_SEEN)
+# The same of a teammate that may stand anywhere around: that it is in the picture at all is known from the track.
+LOG_SEEN_SOMEWHERE = LOG_SEEN + math.log(4.0 * math.pi)
 # The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a
 # quarter.
 LOG_WEAK = math.log(0.25 / 3.0)

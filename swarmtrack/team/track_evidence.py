@@ -22,12 +22,13 @@ from swarmtrack.team.evidence import design
 from swarmtrack.team.priors import (
     ATTITUDE_WANDER_RAD,
     BEARINGS_LAST_S,
-    BOX_SETTLED_S,
     BOX_SIZE_SIGMA_LN,
+    DISTANCE_STEP_LN,
     HANDOVER_MET,
     HANDOVER_MISSED_PER_S,
     HANDOVER_MOST,
     HANDOVER_PER_S,
+    P_BOX_ODD,
     ROUND_S,
     SEGMENT_AFTER_MISS_S,
     SEGMENT_LEAST_S,
@@ -47,6 +48,9 @@ _COUNT = 65 + KINDS
 _WIDTH = _COUNT + 1
 # s: a bearing so soon after the last is none.
 _LEAST_STEP_S = 0.02
+# ln: distances of a target whose place nobody knows, as shares of what its box says; and of one whose place is known.
+_DISTANCES = DISTANCE_STEP_LN * np.array([0.0, -1.0, 1.0, -2.0, 2.0])
+_NEAR_DISTANCE = DISTANCE_STEP_LN * np.array([0.0, 1.0, 2.0, math.nan, math.nan])
 
 
 class Bearing(NamedTuple):
@@ -88,6 +92,7 @@ class Compared(NamedTuple):
     wander: Wander
     log_span: Array
     span_variance: Array
+    is_near: NDArray[np.bool_]
 
     def only(self, chosen: NDArray[np.bool_]) -> Compared:
         """Those of them."""
@@ -97,16 +102,38 @@ class Compared(NamedTuple):
             Wander(*(of[chosen] for of in self.wander)),
             self.log_span[chosen],
             self.span_variance[chosen],
+            self.is_near[chosen],
         )
 
 
 class Told(NamedTuple):
     """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), and whether there
-    was any bearing (n,)."""
+    was any bearing (n,). size, size_log: `TrackEvidence.size`; is_whole: whether the first segment began with the
+    track."""
 
     M: Array
     log: Array
     known: NDArray[np.bool_]
+    size: Array
+    size_log: Array
+    is_whole: bool
+
+    def of(self, column: int) -> tuple[Array, Array, int]:
+        """For one teammate, M (c, 8, 8) and log weights (c,): first, by distance, of the segment that began with the
+        track, as many as the last value says, none if it is given up; then of the others."""
+        log = self.log[:, column]
+        if not self.is_whole:
+            return self.M[:, column], log, 0
+        near = np.flatnonzero(np.isfinite(self.size_log[:, column]))
+        M = np.concatenate([self.M[0, column] + self.size[near, column], self.M[1:, column]])
+        return M, np.concatenate([log[0] + self.size_log[near, column], log[1:]]), len(near)
+
+
+def _no_size(n: int) -> tuple[Array, Array]:
+    """`TrackEvidence.size` and `size_log` before any box."""
+    log = np.full((len(_DISTANCES) + 1, n), -np.inf)
+    log[-1] = 0.0
+    return np.zeros((len(log), n, 8, 8)), log
 
 
 def fading(dt: float) -> float:
@@ -123,7 +150,7 @@ class TrackEvidence:
     segments: list[TrackSegment] = field(init=False)
     t: float = -math.inf
     size: Array = field(init=False)
-    """(n, 8, 8): of the last box's size."""
+    """(r, n, 8, 8): of the box's size, by distance, last of a box that says nothing; and log weights (r, n)."""
     size_log: Array = field(init=False)
     strangers: StrangerFilters = field(init=False)
     whole: Array | None = None
@@ -140,7 +167,7 @@ class TrackEvidence:
     def __post_init__(self) -> None:
         n, self.n = self.n, 0
         self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), WanderFilters(0))]
-        self.size, self.size_log = np.zeros((0, 8, 8)), np.zeros(0)
+        self.size, self.size_log = _no_size(0)
         self.strangers = StrangerFilters(0)
         self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
         self.grow(n)
@@ -155,8 +182,9 @@ class TrackEvidence:
         more = n - self.n
         if more <= 0:
             return
-        self.size = np.concatenate([self.size, np.zeros((more, 8, 8))])
-        self.size_log = np.concatenate([self.size_log, np.zeros(more)])
+        size, size_log = _no_size(more)
+        self.size = np.concatenate([self.size, size], axis=1)
+        self.size_log = np.concatenate([self.size_log, size_log], axis=1)
         self._at = np.concatenate([self._at, np.full(more, -math.inf)])
         self._camera_at = np.concatenate([self._camera_at, np.zeros((more, 3))])
         for segment in self.segments:
@@ -167,7 +195,7 @@ class TrackEvidence:
 
     def forget(self, column: int) -> None:
         """What was said of a teammate counts no more: it is another life."""
-        self.size[column], self.size_log[column] = 0.0, 0.0
+        self.size[:, [column]], self.size_log[:, [column]] = _no_size(1)
         self._at[column] = -math.inf
         self.strangers.restart(column)
         for segment in self.segments:
@@ -176,7 +204,7 @@ class TrackEvidence:
 
     def remove(self, column: int) -> None:
         """A teammate is compared no more."""
-        self.size, self.size_log = np.delete(self.size, column, 0), np.delete(self.size_log, column)
+        self.size, self.size_log = np.delete(self.size, column, 1), np.delete(self.size_log, column, 1)
         self._at, self._camera_at = np.delete(self._at, column), np.delete(self._camera_at, column, 0)
         for segment in self.segments:
             segment.sum = np.delete(segment.sum, column, 0)
@@ -239,26 +267,32 @@ class TrackEvidence:
             said[:, _STRANGER] = stranger
             segment.sum[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
-        variance = mates.span_variance + BOX_SIZE_SIGMA_LN**2
-        self._add_size(j, along, rho * np.exp(mates.log_span), variance)
+        self._add_size(mates, along, rho)
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
 
-    def _add_size(self, j: NDArray[np.intp], along: Array, rho: Array, variance: Array) -> None:
-        """A box says how far its drone is, once it has settled; of many, all err alike, and one counts."""
-        settled = (self.segments[0].sum[j, _COUNT] > BOX_SETTLED_S) & (self.size_log[j] == 0.0)
-        j, along, rho, variance = j[settled], along[settled], rho[settled], variance[settled]
-        residual = along.copy()
-        residual[:, 4] -= rho
-        self.size[j] = residual[:, :, None] * residual[:, None, :] / (variance * rho**2)[:, None, None]
-        self.size_log[j] = math.log(STRANGER_DISTANCE_RANGE_LN) - 0.5 * np.log(2.0 * math.pi * variance)
+    def _add_size(self, mates: Compared, along: Array, rho: float) -> None:
+        """A box says how far its drone is. All boxes err alike: the last one counts, and none for now where it is blurred
+        or cut. along (m, 8): distances, of z. Errors are those of the distance's logarithm; where nothing else says how
+        far it is, they are a mixture of Gaussians of the distance."""
+        mates, along = (lambda f: (mates.only(f), along[f]))(self.size_log[-1, mates.columns] == 0.0)
+        j, near = mates.columns, mates.is_near[:, None]
+        if not len(j): return
+        variance = mates.span_variance + BOX_SIZE_SIGMA_LN**2
+        steps = np.where(near, _NEAR_DISTANCE, _DISTANCES).T
+        share = np.full(len(j), 0.3)
+        distance = rho * np.exp(mates.log_span + steps)
+        residual = np.repeat(along[None], len(steps), axis=0)
+        residual[..., 4] -= distance
+        size = residual[..., :, None] * residual[..., None, :] / ((share * distance) ** 2)[..., None, None]
+        weight = np.exp(-0.5 * steps**2 / variance)
+        log = np.log((1.0 - P_BOX_ODD) * weight / np.nansum(weight, axis=0))
+        log += math.log(STRANGER_DISTANCE_RANGE_LN) - 0.5 * np.log(2.0 * math.pi * share**2)
+        self.size[:-1, j] = np.nan_to_num(size)
+        self.size_log[:-1, j] = np.where(np.isnan(steps), -np.inf, log)
+        self.size_log[-1, j] = math.log(P_BOX_ODD)
 
     # --- segments ---
-
-    @property
-    def is_whole(self) -> NDArray[np.bool_]:
-        """(s,): the segments that begin with the track."""
-        return np.array([segment.base is None for segment in self.segments])
 
     @property
     def likeliest_segment(self) -> int:
@@ -299,10 +333,10 @@ class TrackEvidence:
     def told(self) -> Told:
         """What bearings say of each segment and teammate."""
         sums = np.array([segment.sum for segment in self.segments])
-        M = sums[..., _M].reshape(*sums.shape[:2], 8, 8) + self.is_whole[:, None, None, None] * self.size
+        M = sums[..., _M].reshape(*sums.shape[:2], 8, 8)
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
-        log = sums[..., _LOG] + self.is_whole[:, None] * self.size_log - stranger
-        return Told(M, log, self.compared)
+        is_whole = self.segments[0].base is None
+        return Told(M, sums[..., _LOG] - stranger, self.compared, self.size, self.size_log, is_whole)
 
     def bases(self, k: int) -> Array:
         """(s, k): log evidence of all before each segment, with its prior."""
