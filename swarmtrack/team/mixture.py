@@ -28,7 +28,6 @@ from swarmtrack.team.priors import (
     LOG_SEEN,
     LOG_SEEN_SOMEWHERE,
     LOG_SLEEPS,
-    LOG_WEAK,
     OWN_ERRORS_LAST_S,
     P_SETTLED,
     PLACE_COMPONENTS,
@@ -184,7 +183,7 @@ class JointMixture:
             if found.known[mate.column]:
                 log = E[at : at + len(M)] + weight[:, None]
                 seen = LOG_SEEN if mate.knows_start else LOG_SEEN_SOMEWHERE
-                log[:whole] += seen + track.weak * LOG_WEAK
+                log[:whole] += seen + track.log_weak(t)
                 # Whoever takes over a track may be any of the team.
                 log[whole:] -= math.log(len(self._priors))
                 if whole > 1:

@@ -124,6 +124,8 @@ LOG_SEEN_SOMEWHERE = LOG_SEEN + math.log(4.0 * math.pi)
 # The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a
 # quarter.
 LOG_WEAK = math.log(0.25 / 3.0)
+# A teammate's track is confirmed within so long, or the less likely by that rate [nats] up to that.
+WEAK_FREE_S, WEAK_PER_S, WEAK_MOST = 1.0, 1.0, 4.0
 # A track goes over to another target: at any time; where it meets another; where it comes back after a miss.
 HANDOVER_PER_S, HANDOVER_MET, HANDOVER_MISSED_PER_S = 0.0005, 0.002, 0.01
 HANDOVER_MOST = 0.3

@@ -28,6 +28,8 @@ from swarmtrack.team.priors import (
     HANDOVER_MISSED_PER_S,
     HANDOVER_MOST,
     HANDOVER_PER_S,
+    LOG_WEAK,
+    WEAK_FREE_S, WEAK_MOST, WEAK_PER_S,
     P_BOX_ODD,
     ROUND_S,
     SEGMENT_AFTER_MISS_S,
@@ -176,6 +178,13 @@ class TrackEvidence:
     def compared(self) -> NDArray[np.bool_]:
         """(n,): the teammates that it was compared with at least once."""
         return np.isfinite(self._at)
+
+    def log_weak(self, t: float) -> float:
+        """Log prior that a teammate has a track like that at t, and a stranger has not: the longer it is not confirmed, the
+        less."""
+        if not self.weak or math.isnan(self._begun_t):
+            return 0.0
+        return LOG_WEAK - min(max(t - self._begun_t - WEAK_FREE_S, 0.0) * WEAK_PER_S, WEAK_MOST)
 
     def grow(self, n: int) -> None:
         """Compare n teammates from now on."""
