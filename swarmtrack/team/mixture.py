@@ -29,6 +29,7 @@ from swarmtrack.team.priors import (
     LOG_SEEN_SOMEWHERE,
     LOG_SLEEPS,
     OWN_ERRORS_LAST_S,
+    P_HELD,
     P_SETTLED,
     PLACE_COMPONENTS,
     SLEEPERS_PARTS,
@@ -123,7 +124,11 @@ class JointMixture:
                 for b, e, none in zip(base, each, nobody, strict=True)
             ]
         ).reshape(len(tracks), len(used), len(mates))
-        kept, P = self._match(np.minimum(ratio.swapaxes(0, 1), LOG_RATIO_MOST), log_w, used)
+        once = _each_past_once(ratio, base, each, tracks, mates)
+        kept, P = self._match(np.minimum(once.swapaxes(0, 1), LOG_RATIO_MOST), log_w, used)
+        for track, p in zip(tracks, P, strict=True):
+            if p.max(initial=0.0) > P_HELD:
+                track.held = mates[int(p.argmax())].drone_id
         self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
         self._p_heading_off = off
         for track, b, e, none, r in zip(tracks, base, each, nobody, ratio, strict=True):
@@ -261,6 +266,36 @@ class JointMixture:
         m = w @ np.array(mean)
         off = np.array(mean) - m
         return m, np.einsum("i,iab->ab", w, np.array(spread) + off[:, :, None] * off[:, None, :])
+
+
+def _each_past_once(
+    ratio: Array,
+    base: Sequence[Array],
+    each: Sequence[Array],
+    tracks: Sequence[TrackEvidence],
+    mates: Sequence[Teammate],
+) -> Array:
+    """Log ratios (n, k, m) of tracks and teammates, in which no teammate has two tracks at one time of the past: as far
+    as a track was a teammate and is nobody now, another track is that teammate only since it was taken over.
+
+    base (s, k), each (s, k, m): by track, log evidence before each segment, and of it.
+    """
+    once = ratio.copy()
+    for c, mate in enumerate(mates):
+        holders = [h for h, track in enumerate(tracks) if track.held == mate.drone_id and len(base[h]) > 1]
+        for h in holders:
+            whole = np.exp(np.minimum(base[h][0] - np.logaddexp.reduce(base[h], axis=0), 0.0))
+            if tracks[h].segments[0].base is not None:
+                whole = np.zeros_like(whole)
+            for i, track in enumerate(tracks):
+                if i == h or track.held == mate.drone_id:
+                    continue
+                begun = 0 if track.segments[0].base is not None else 1
+                late = np.logaddexp.reduce(base[i][begun:] + each[i][begun:, :, c], axis=0, initial=-np.inf)
+                late -= np.logaddexp.reduce(base[i], axis=0)
+                with np.errstate(divide="ignore"):
+                    once[i, :, c] = np.logaddexp(np.log(whole) + once[i, :, c], np.log1p(-whole) + late)
+    return once
 
 
 def _worth_matching(R: Array, log_w: Array) -> NDArray[np.intp]:

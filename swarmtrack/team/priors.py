@@ -138,6 +138,7 @@ SEGMENT_MISSED_S, SEGMENT_AFTER_MISS_S = 0.6, 0.3
 BELIEVED_ENDED_S = 4.0
 # From such a probability on the frame of whom it was is kept, from the other on it is kept as a supposition.
 P_SUPPOSED = 0.2
+P_HELD = 0.5
 P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
 # Log ratios of pairs beyond which nothing changes.
 LOG_NONSENSE = -1e6

@@ -159,6 +159,8 @@ class TrackEvidence:
     """(k,) by component: log evidence of all bearings, whoever it is."""
     weak: bool = False
     """Whether the tracker has not confirmed it yet."""
+    held: int = 0
+    """The drone that it was last rather than not; 0: it was none yet."""
     _hazard: float = 0.0
     """The probability that it went over to another target and no segment began."""
     _begun_t: float = math.nan
