@@ -210,13 +210,17 @@ class _Joint:
         self._tracks: dict[int, Track] = {}
         for drone in range(n):
             self._ids.announce(
-                Announcement(drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), SOMEWHERE_M**2 * np.eye(3))
+                Announcement(
+                    drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), SOMEWHERE_M**2 * np.eye(3)
+                )
             )
 
     def hear(self, said: Saying) -> None:
         sure = SAID_M_S**2 * np.eye(3)
         self._ids.on_motion(
-            MotionReport(said.drone_id + 1, "boot", 1, said.t, CLOCK_S, said.displacement, sure, said.velocity, sure)
+            MotionReport(
+                said.drone_id + 1, "boot", 1, said.t, CLOCK_S, said.displacement, sure, said.velocity, sure
+            )
         )
 
     def observe(self, tracks: list[Track], view: ObserverCamera) -> None:
@@ -241,7 +245,8 @@ class _Joint:
 
     def log_ratio(self, track: int, drone: int) -> float:
         named = self._ids._posterior.named.get(track)
-        if named is None: return 0.0
+        if named is None:
+            return 0.0
         p = named.p.get(drone + 1, 0.5)
         return math.log(max(p, 1e-300) / max(1.0 - p, 1e-300))
 

@@ -123,7 +123,7 @@ class Marginal:
     the components that will be asked for; doubting: whether it says that it doubts itself.
     """
 
-    def __init__(self, M: Array, cov: Array, spreads: Array, *, doubting: bool) -> None:
+    def __init__(self, M: Array, cov: Array, spreads: Array, *, doubting: bool = False) -> None:
         p_off = P_DOUBTING_START_OFF if doubting else P_TEAMMATE_START_OFF
         p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
         shares = [(1.0 - sum(p) - p_far, *p) for p in (p_off, P_LOOSE_START_OFF)]

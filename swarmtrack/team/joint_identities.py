@@ -17,6 +17,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.identities import RECENT_S, IdentityNews
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
+from swarmtrack.identity.proof import LASTS_S, Astray, proof_after
 from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, rays_to, seen_from
 from swarmtrack.identity.teammates import Teammates
 from swarmtrack.messages import (
@@ -25,6 +26,7 @@ from swarmtrack.messages import (
     Announcement,
     IdentifiedTrack,
     Membership,
+    MotionProof,
     MotionReport,
     OwnFault,
     SightingReport,
@@ -46,9 +48,11 @@ from swarmtrack.team.priors import (
     NEAREST_BOX_M,
     P_ASKED,
     P_FAULT_SAID,
+    P_FAULT_SILENT,
     P_NAME_KEPT,
     P_NAME_MOST,
     P_STRANGER,
+    PROVED_EVERY_S,
     SMALLEST_BOX_PX,
 )
 from swarmtrack.team.track_evidence import Bearing
@@ -84,6 +88,11 @@ class JointIdentities:
         self._seen: dict[int, LastSeen] = {}
         """By track with a name, its last ray."""
         self._doubt_since: float | None = None
+        self._proofs: dict[int, MotionProof] = {}
+        """By track: its name, by motion alone."""
+        self._proved_t = -math.inf
+        self._astray: set[int] = set()
+        """The drones of which was said that they are elsewhere than they say."""
 
     @property
     def fault(self) -> OwnFault | None:
@@ -108,6 +117,7 @@ class JointIdentities:
             return False
         self._teammates.announce(announcement)
         self._posterior.announce(announcement)
+        self._astray.discard(announcement.drone_id)
         self._pose_requests.answered(announcement.drone_id)
         return True
 
@@ -179,6 +189,7 @@ class JointIdentities:
             OwnKnowledge(observer.position_sigma, math.sqrt(float(observer.attitude_cov[2, 2]))),
         )
         self._name(t)
+        self._prove(t)
         self._ask(t)
         self._remember_rays(shown, view)
         self._teammates.forget(t, {drone for drone, _ in self._names.values()})
@@ -189,7 +200,7 @@ class JointIdentities:
             for id, track in self._alive.items()
             if track.status is TrackStatus.TENTATIVE and id in self._names
         )
-        return IdentityNews(vouched, (), self._pose_requests.of_this_scan())
+        return IdentityNews(vouched, self._find_astray(t), self._pose_requests.of_this_scan())
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
@@ -224,6 +235,35 @@ class JointIdentities:
             if named.p_none >= P_STRANGER:
                 since[id] = self._strange_since.get(id, t)
         self._names, self._strange_since = names, since
+
+    def _prove(self, t: float) -> None:
+        """Which names motion alone gives as well."""
+        if t - self._proved_t >= PROVED_EVERY_S:
+            self._proved_t = t
+            by_motion = self._posterior.by_motion(t)
+            found = {
+                id: proof_after(self._proofs.get(id), by_motion[id][drone], t)
+                for id, (drone, _) in self._names.items()
+                if id in by_motion
+            }
+            self._proofs = {id: proof for id, proof in found.items() if proof is not None}
+        self._proofs = {id: proof for id, proof in self._proofs.items() if id in self._names}
+
+    def _find_astray(self, t: float) -> tuple[Astray, ...]:
+        """The drones that are elsewhere than they say, once each."""
+        found: list[Astray] = []
+        if self._posterior.p_fault > P_FAULT_SILENT:
+            return ()
+        for id, proof in self._proofs.items():
+            drone = self._names[id][0]
+            is_shown = self._alive[id].t == t and self._alive[id].coasting_since is None
+            if drone in self._astray or not is_shown or t - proof.since < LASTS_S:
+                continue
+            miss = self._posterior.miss_m(id, t)
+            if miss is not None:
+                self._astray.add(drone)
+                found.append(Astray(drone, id, miss))
+        return tuple(found)
 
     def _ask(self, t: float) -> None:
         """Ask those that a track may be which has no name for a while, where they are."""
@@ -263,7 +303,7 @@ class JointIdentities:
         if held is not None and track.status is not TrackStatus.TENTATIVE:
             probability = held[1] * track.probability
             if probability > 0.5:
-                return IdentifiedTrack(track, held[0], probability)
+                return IdentifiedTrack(track, held[0], probability, self._proofs.get(track.id))
         elif self._is_foreign(track):
             return IdentifiedTrack(track, FOREIGN, self._posterior.named[track.id].p_none)
         return IdentifiedTrack(track, None, 0.0)

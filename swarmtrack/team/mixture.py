@@ -32,8 +32,10 @@ from swarmtrack.team.priors import (
     P_HELD,
     P_SETTLED,
     PLACE_COMPONENTS,
+    PROOF_COMPONENTS,
     SLEEPERS_PARTS,
     SLEEPERS_PARTS_DOUBTFUL,
+    SOMEWHERE_SIGMA_M,
     START_LEAST_SIGMA_M,
 )
 from swarmtrack.team.teammates import Teammate
@@ -238,27 +240,63 @@ class JointMixture:
         self.is_settled = bool(weight.max() > P_SETTLED and sure.all())
         return kept, P
 
+    def by_motion(
+        self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], t: float, known: OwnKnowledge
+    ) -> Array:
+        """(n, m): the probability that each track is each teammate if nobody's start were known, by the likeliest
+        components."""
+        weights = self.weight if self.weight.any() else np.eye(len(self.errors))[0]
+        used = np.sort(np.argsort(-weights)[:PROOF_COMPONENTS])
+        R = np.full((len(used), len(tracks), len(mates)), -np.inf)
+        for c, mate in enumerate(mates):
+            cases = [track.told().since(track.likeliest_segment, mate.column) for track in tracks]
+            M = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _ in cases)])
+            marginal = Marginal(M, SOMEWHERE_SIGMA_M**2 * np.eye(3), np.unique(self.errors.spread[used]))
+            E = marginal.log_evidence(self._priors[mate.drone_id], self.errors, used, known.heading_sigma)
+            at = 1
+            for i, (track, (_, weight)) in enumerate(zip(tracks, cases, strict=True)):
+                end = at + len(weight)
+                if track.compared[mate.column]:
+                    R[:, i, c] = np.logaddexp.reduce(E[at:end] - E[0] + weight[:, None], axis=0)
+                at = end
+        R = np.minimum(R + LOG_SEEN_SOMEWHERE, LOG_RATIO_MOST)
+        w = weights[used] / float(weights[used].sum())
+        return np.asarray(np.tensordot(w, matched_of_each(R).probability, axes=1))
+
     # --- where they are ---
+
+    def stated_place(self, mate: Teammate, design: Array, known: OwnKnowledge) -> tuple[Array, Array]:
+        """As `place`, if everybody is where it says."""
+        M = np.zeros((8, 8))
+        first = self._marginal(mate, M[None], np.zeros(1, int), known).places(
+            M,
+            design,
+            prior=self._priors[mate.drone_id],
+            errors=self.errors,
+            k=0,
+            heading_sigma=known.heading_sigma,
+        )[0]
+        return first.mean, first.cov
 
     def place(
         self, track: TrackEvidence, mate: Teammate, design: Array, t: float, known: OwnKnowledge
     ) -> tuple[Array, Array]:
         """Where a teammate is that is that track: mean (3,) m from the own camera and covariance (3, 3), in the axes of
         the own rays. design (3, 8): `evidence.design` of where it says that it is."""
-        cases, weight, whole = track.told().of(mate.column)
-        segment = track.likeliest_segment
-        at = segment - 1 + whole if segment or not whole else int(weight[:whole].argmax())
-        M = mate.told(t) + cases[at]
-        likely = np.argsort(-self.weight)[:PLACE_COMPONENTS]
+        cases, weight = track.told().since(track.likeliest_segment, mate.column)
+        M = mate.told(t) + cases[int(weight.argmax())]
+        # After a step of the heading, or with another team, nothing is weighed yet.
+        weights = self.weight if self.weight.any() else np.eye(len(self.errors))[0]
+        likely = np.argsort(-weights)[:PLACE_COMPONENTS]
         marginal = self._marginal(mate, M[None], likely, known)
         log, mean, spread = [], [], []
         for k in likely.tolist():
-            if self.weight[k] > 0.0:
+            if weights[k] > 0.0:
                 prior = self._priors[mate.drone_id]
                 for one in marginal.places(
                     M, design, prior=prior, errors=self.errors, k=k, heading_sigma=known.heading_sigma
                 ):
-                    log.append(one.log_share + math.log(self.weight[k]))
+                    log.append(one.log_share + math.log(weights[k]))
                     mean.append(one.mean)
                     spread.append(one.cov)
         w = np.exp(np.array(log) - max(log))

@@ -29,10 +29,13 @@ from swarmtrack.team.priors import (
     BOX_SIZE_SIGMA_LN,
     BOX_SPAN_LEAST_SIGMA_LN,
     CALM_WEIGHED_EVERY_S,
+    ELSEWHERE_GATE,
+    ELSEWHERE_LEAST_M,
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     MOTION_WAIT_S,
     P_BELIEVED,
+    P_ELSEWHERE,
     P_FRAME_KEPT,
     P_SIZE_LEARNED,
     P_SUPPOSED,
@@ -41,6 +44,7 @@ from swarmtrack.team.priors import (
     ROUND_S,
     START_LEAST_SIGMA_M,
 )
+from swarmtrack.team.reported_places import SaidPlace
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
 from swarmtrack.team.wander import Wander
@@ -107,6 +111,31 @@ class TeamPosterior:
     def p_fault(self) -> float:
         """The probability that the own heading or start is wrong."""
         return self.mixture.p_fault
+
+    def by_motion(self, t: float) -> dict[int, dict[int, float]]:
+        """By track and drone, what the probability of a name would be if nobody's start were known."""
+        mates = list(self.teammates.values())
+        if not mates or not self._tracks or self._team_has_changed:
+            return {}
+        P = self.mixture.by_motion(list(self._tracks.values()), mates, t, self._known)
+        return {
+            id: {mate.drone_id: float(one) for mate, one in zip(mates, p, strict=True)}
+            for id, p in zip(self._tracks, P, strict=True)
+        }
+
+    def miss_m(self, track_id: int, t: float) -> float | None:
+        """How far the teammate that is that track is from where it says, m; None where it seems to be there."""
+        drone, p = self.named[track_id].likeliest
+        mate = self.teammates.get(drone)
+        if mate is None or p < P_ELSEWHERE or not mate.knows_start or mate.doubting:
+            return None
+        G = self._design(mate, mate.at(t), self._tracks[track_id].camera)
+        place, cov = self.place(track_id, drone, t)
+        stated, stated_cov = self.mixture.stated_place(mate, G, self._known)
+        off = place - stated
+        miss = float(np.linalg.norm(off))
+        is_off = float(off @ np.linalg.solve(stated_cov + cov, off)) > ELSEWHERE_GATE
+        return miss if is_off and miss > ELSEWHERE_LEAST_M else None
 
     # --- what teammates say ---
 
@@ -221,7 +250,7 @@ class TeamPosterior:
         return self._round[number] > before
 
     def _follow(self, scan: BearingScan) -> bool:
-        """Compare every scan with the teammates of which it is known how they move then. Returns whether there was any."""
+        """Compare every scan with the teammates whose motion then is known. Returns whether there was any."""
         number, t = scan.camera, scan.t
         followed = [mate for mate in self.teammates.values() if mate.is_followed(t)]
         if not followed:
@@ -339,8 +368,12 @@ class TeamPosterior:
         """Where a teammate is that is that track, at t: mean (3,) m from the own camera and covariance (3, 3), in the
         axes of the own rays."""
         mate, track = self.teammates[drone_id], self._tracks[track_id]
-        assert self._start is not None
         said = mate.at(t)
-        G = design((said.place - mate.start)[None], self._scans[track.camera][-1].origin - self._start)[0]
+        G = self._design(mate, said, track.camera)
         mean, cov = self.mixture.place(track, mate, G, t, self._known)
         return mean, cov + (said.sigma**2 + said.white) * np.eye(3)
+
+    def _design(self, mate: Teammate, said: SaidPlace, camera: int) -> Array:
+        """(3, 8): `evidence.design` of where a teammate says that it is, from a camera's last scan."""
+        assert self._start is not None
+        return design((said.place - mate.start)[None], self._scans[camera][-1].origin - self._start)[0]

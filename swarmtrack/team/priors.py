@@ -62,8 +62,8 @@ SOMEWHERE_SIGMA_M = 30.0
 
 # White error of a reported place against the one that is flown.
 REPORTED_PLACE_SIGMA_M = 0.12
-# How far a teammate is from where it says that it moved, smoothly, m and rad/s, and white; the same of who flies a code,
-# and a plan.
+# How far a teammate is from where it says that it moved, smoothly, m and rad/s, and white; the same of a code, and of a
+# plan.
 MOTION_WANDER, MOTION_WHITE_M = (0.03, 0.5), 0.02
 CODED_WANDER, PLANNED_WANDER, AGREED_WHITE_M = (0.1, 1.5), (0.3, 1.0), 0.02
 # How much farther off a place is that is carried on from the last report: of a drone that moves, and one that hovers.
@@ -95,11 +95,9 @@ OWN_ERRORS_LAST_S = 120.0
 # The larger side of a box, m, and how it varies: between airframes, and from box to box.
 BOX_SPAN_M, BOX_SPAN_SIGMA_LN, BOX_SIZE_SIGMA_LN = 0.55, 0.22, 0.3
 BOX_SPAN_LEAST_SIGMA_LN = 0.1
-# A box is blurred, cut or around more than its drone.
-P_BOX_ODD = 1e-6
 BOX_LEARNED_EVERY_S = 1.0
-# Where nothing but its box says how far a target is, distances are so far from each other.
-DISTANCE_STEP_LN = 0.45
+# By its box a target is at one of several distances, so far from each other, within such a share of each.
+DISTANCE_STEP_LN, DISTANCE_SHARE = 0.45, 0.3
 # A stranger's distance is anywhere within this, ln.
 STRANGER_DISTANCE_RANGE_LN = 3.0
 NEAREST_BOX_M, FARTHEST_BOX_M = 1.0, 80.0
@@ -151,12 +149,18 @@ P_NAME_KEPT = 0.8
 P_NAME_MOST = 0.9999
 # A fault of the own is said from this on, once it has lasted.
 P_FAULT_SAID, FAULT_SAID_AFTER_S = 0.75, 0.5
+# Who is likelier than this to be wrong says of nobody that it is elsewhere.
+P_FAULT_SILENT = 0.25
 P_STRANGER = 0.98
+# Names by motion alone are worked out so often.
+PROVED_EVERY_S = 0.5
 # A track that has no name for so long lets so many drones be asked for their pose, that are as likely as that.
 ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
 
-# A place is the average over so many components, the likeliest.
-PLACE_COMPONENTS = 3
+# A place is the average over so many components, the likeliest; and what motion alone says is.
+PLACE_COMPONENTS, PROOF_COMPONENTS = 3, 4
+# A teammate is elsewhere than it says beyond so many sigmas, and so far; of a name that is as sure.
+ELSEWHERE_GATE, ELSEWHERE_LEAST_M, P_ELSEWHERE = 16.0, 0.5, 0.99
 
 # --- Which components are worked out. ---
 

@@ -19,9 +19,9 @@ from swarmtrack.team.priors import (
     CARRIED_HOVERING_M_S,
     CARRIED_MOST_S,
     CARRIED_MOVING_M_S,
-    MOVING_M_S,
     MOTION_WANDER,
     MOTION_WHITE_M,
+    MOVING_M_S,
     REPORTED_PLACE_SIGMA_M,
 )
 

@@ -104,9 +104,7 @@ class Teammate:
         if motion is not None:
             now = np.array([np.interp(t, motion.t, axis) for axis in motion.displacement.T])
             sigma, bandwidth = PLANNED_WANDER if motion.planned else CODED_WANDER
-            return SaidPlace(
-                self.start + now - motion.displacement[0], sigma, bandwidth, AGREED_WHITE_M**2
-            )
+            return SaidPlace(self.start + now - motion.displacement[0], sigma, bandwidth, AGREED_WHITE_M**2)
         return self.path.at(t)
 
     def knows(self, t: float) -> bool:

@@ -23,14 +23,13 @@ from swarmtrack.team.priors import (
     ATTITUDE_WANDER_RAD,
     BEARINGS_LAST_S,
     BOX_SIZE_SIGMA_LN,
+    DISTANCE_SHARE,
     DISTANCE_STEP_LN,
     HANDOVER_MET,
     HANDOVER_MISSED_PER_S,
     HANDOVER_MOST,
     HANDOVER_PER_S,
     LOG_WEAK,
-    WEAK_FREE_S, WEAK_MOST, WEAK_PER_S,
-    P_BOX_ODD,
     ROUND_S,
     SEGMENT_AFTER_MISS_S,
     SEGMENT_LEAST_S,
@@ -38,6 +37,9 @@ from swarmtrack.team.priors import (
     SEGMENTS_KEPT,
     STRANGER_DISTANCE_RANGE_LN,
     TRACKS_MEET_PX,
+    WEAK_FREE_S,
+    WEAK_MOST,
+    WEAK_PER_S,
 )
 from swarmtrack.team.strangers import KINDS, StrangerFilters
 from swarmtrack.team.wander import Wander, WanderFilters
@@ -50,9 +52,9 @@ _COUNT = 65 + KINDS
 _WIDTH = _COUNT + 1
 # s: a bearing so soon after the last is none.
 _LEAST_STEP_S = 0.02
-# ln: distances of a target whose place nobody knows, as shares of what its box says; and of one whose place is known.
-_DISTANCES = DISTANCE_STEP_LN * np.array([0.0, -1.0, 1.0, -2.0, 2.0])
-_NEAR_DISTANCE = DISTANCE_STEP_LN * np.array([0.0, 1.0, 2.0, math.nan, math.nan])
+# ln: distances beside the one that a box says; and of a target whose place is known.
+_DISTANCES = DISTANCE_STEP_LN * np.array([0.0, 1.0, 2.0, -1.0, -2.0])
+_DISTANCES_OF_NEAR = np.where(_DISTANCES < 0.0, math.nan, _DISTANCES)
 
 
 class Bearing(NamedTuple):
@@ -71,8 +73,8 @@ class Bearing(NamedTuple):
 
 @dataclass(slots=True)
 class TrackSegment:
-    """since [s]; sum (n, …): of the bearings since then; wander: of the teammates; log_handover: log prior that it began
-    there; base (k,): log evidence of all that was before, by component, None for the first."""
+    """since [s]; sum (n, …): of the bearings since then; wander: of the teammates; log_handover: log prior that it
+    began there; base (k,): log evidence of all that was before, by component, None for the first."""
 
     since: float
     sum: Array
@@ -85,8 +87,8 @@ class TrackSegment:
 class Compared(NamedTuple):
     """m teammates at the time of a bearing.
 
-    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; wander: how far it may
-    be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance.
+    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; wander: how far it
+    may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance.
     """
 
     columns: NDArray[np.intp]
@@ -130,12 +132,20 @@ class Told(NamedTuple):
         M = np.concatenate([self.M[0, column] + self.size[near, column], self.M[1:, column]])
         return M, np.concatenate([log[0] + self.size_log[near, column], log[1:]]), len(near)
 
+    def since(self, segment: int, column: int) -> tuple[Array, Array]:
+        """As `of`, of one segment."""
+        M, log, whole = self.of(column)
+        at = slice(0, whole) if whole and not segment else slice(segment - 1 + whole, segment + whole)
+        if not whole:
+            at = slice(segment, segment + 1)
+        return M[at], log[at]
+
 
 def _no_size(n: int) -> tuple[Array, Array]:
     """`TrackEvidence.size` and `size_log` before any box."""
-    log = np.full((len(_DISTANCES) + 1, n), -np.inf)
-    log[-1] = 0.0
-    return np.zeros((len(log), n, 8, 8)), log
+    log = np.full((len(_DISTANCES), n), -np.inf)
+    log[0] = 0.0
+    return np.zeros((len(_DISTANCES), n, 8, 8)), log
 
 
 def fading(dt: float) -> float:
@@ -152,7 +162,7 @@ class TrackEvidence:
     segments: list[TrackSegment] = field(init=False)
     t: float = -math.inf
     size: Array = field(init=False)
-    """(r, n, 8, 8): of the box's size, by distance, last of a box that says nothing; and log weights (r, n)."""
+    """(r, n, 8, 8): of the box's size, by distance; and log weights (r, n)."""
     size_log: Array = field(init=False)
     strangers: StrangerFilters = field(init=False)
     whole: Array | None = None
@@ -182,8 +192,7 @@ class TrackEvidence:
         return np.isfinite(self._at)
 
     def log_weak(self, t: float) -> float:
-        """Log prior that a teammate has a track like that at t, and a stranger has not: the longer it is not confirmed, the
-        less."""
+        """Log prior that a teammate, and no stranger, has such a track at t: the longer it is not confirmed, the less."""
         if not self.weak or math.isnan(self._begun_t):
             return 0.0
         return LOG_WEAK - min(max(t - self._begun_t - WEAK_FREE_S, 0.0) * WEAK_PER_S, WEAK_MOST)
@@ -252,7 +261,9 @@ class TrackEvidence:
         rho, d = bearing.distance, bearing.direction
         white = bearing.variance * rho**2 + mates.wander.white
         wander = mates.wander._replace(
-            sigma=np.where(mates.wander.sigma > 0.0, np.hypot(mates.wander.sigma, ATTITUDE_WANDER_RAD * rho), 0.0),
+            sigma=np.where(
+                mates.wander.sigma > 0.0, np.hypot(mates.wander.sigma, ATTITUDE_WANDER_RAD * rho), 0.0
+            ),
             white=white,
         )
         G = design(mates.place, own_way)
@@ -283,25 +294,25 @@ class TrackEvidence:
             self._begun_t = bearing.t
 
     def _add_size(self, mates: Compared, along: Array, rho: float) -> None:
-        """A box says how far its drone is. All boxes err alike: the last one counts, and none for now where it is blurred
-        or cut. along (m, 8): distances, of z. Errors are those of the distance's logarithm; where nothing else says how
-        far it is, they are a mixture of Gaussians of the distance."""
-        mates, along = (lambda f: (mates.only(f), along[f]))(self.size_log[-1, mates.columns] == 0.0)
-        j, near = mates.columns, mates.is_near[:, None]
-        if not len(j): return
-        variance = mates.span_variance + BOX_SIZE_SIGMA_LN**2
-        steps = np.where(near, _NEAR_DISTANCE, _DISTANCES).T
-        share = np.full(len(j), 0.3)
+        """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.
+        The error is one of the distance's logarithm: a mixture of Gaussians of the distance."""
+        fresh = np.isinf(self.size_log[1, mates.columns])
+        if not fresh.any():
+            return
+        mates, along = mates.only(fresh), along[fresh]
+        j, variance = mates.columns, mates.span_variance + BOX_SIZE_SIGMA_LN**2
+        # A place that is known at least within metres is at no small share of what the box says.
+        steps = np.where(mates.is_near, _DISTANCES_OF_NEAR[:, None], _DISTANCES[:, None])
         distance = rho * np.exp(mates.log_span + steps)
         residual = np.repeat(along[None], len(steps), axis=0)
         residual[..., 4] -= distance
-        size = residual[..., :, None] * residual[..., None, :] / ((share * distance) ** 2)[..., None, None]
+        size = residual[..., :, None] * residual[..., None, :]
+        size /= ((DISTANCE_SHARE * distance) ** 2)[..., None, None]
         weight = np.exp(-0.5 * steps**2 / variance)
-        log = np.log((1.0 - P_BOX_ODD) * weight / np.nansum(weight, axis=0))
-        log += math.log(STRANGER_DISTANCE_RANGE_LN) - 0.5 * np.log(2.0 * math.pi * share**2)
-        self.size[:-1, j] = np.nan_to_num(size)
-        self.size_log[:-1, j] = np.where(np.isnan(steps), -np.inf, log)
-        self.size_log[-1, j] = math.log(P_BOX_ODD)
+        log = np.log(weight / np.nansum(weight, axis=0))
+        log += math.log(STRANGER_DISTANCE_RANGE_LN / (DISTANCE_SHARE * math.sqrt(2.0 * math.pi)))
+        self.size[:, j] = np.nan_to_num(size)
+        self.size_log[:, j] = np.where(np.isnan(steps), -np.inf, log)
 
     # --- segments ---
 
@@ -353,7 +364,8 @@ class TrackEvidence:
         """(s, k): log evidence of all before each segment, with its prior."""
         return np.array(
             [
-                np.full(k, s.log_handover) + (0.0 if s.base is None else fading(max(self.t - s.since, 0.0)) * s.base)
+                np.full(k, s.log_handover)
+                + (0.0 if s.base is None else fading(max(self.t - s.since, 0.0)) * s.base)
                 for s in self.segments
             ]
         )
