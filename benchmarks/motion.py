@@ -3,7 +3,8 @@
 An observer that hovers sees N drones 5 to 20 m away, 7 times a second, nine times in ten, to 1.5 px. Its attitude is
 off by 12 mrad, for some 15 s in the same way. Each drone tells 5 times a second how it moved, to 2 cm. Its clock is off
 by 30 ms, and boxes tell distances to 30 %. The estimator is the agent's (`identity/motion_evidence.py`), without its
-tracker: a track is a drone.
+tracker: a track is a drone. With `--model joint` it is the joint posterior, of which the names are those that an agent
+would publish.
 
 A name is given where its probability over all matchings exceeds 0.999; a track is a stranger with 0.02 beforehand. A
 lie is found out where the liar's track is called a stranger, or by its right name. It is said already where motion
@@ -157,7 +158,7 @@ class _Scene:
             place[0], speed[0] = other.place[0], other.speed[0]
         return _Told(place, speed)
 
-    def deliver_reports(self, found: MotionEvidence, t: float) -> None:
+    def deliver_reports(self, found: _Motion | _Joint, t: float) -> None:
         """All that the drones said in the last scan's time."""
         for drone in range(self.n):
             first = math.ceil((t - SCAN_S - self._phase[drone]) / self._say_s)
@@ -200,61 +201,87 @@ class _Scene:
         ], view
 
 
-class _Joint:
-    """The joint posterior in the place of motion evidence, told that nobody's start is known."""
+class _Motion:
+    """The agent's motion evidence: a name of which motion alone is sure."""
 
     def __init__(self, n: int) -> None:
-        self._ids = JointIdentities(
-            n + 1, cameras=[(CAMERA, MOUNT)], parameters=IdentityParameters(model="joint"), start_sigma_m=0.0
-        )
+        self._n = n
+        self._found = MotionEvidence()
+
+    def hear(self, said: Saying) -> None:
+        self._found.hear(said)
+
+    def observe(self, tracks: list[Track], view: ObserverCamera) -> None:
+        self._found.observe(tracks, view)
+
+    def called(self) -> dict[int, int]:
+        """By track, the name that is sure enough by now."""
+        n = self._n
+        ratios = np.array([[self._found.log_ratio(track, drone) for drone in range(n)] for track in range(n)])
+        probability = matching_marginals(ratios - math.log(P_STRANGER))
+        probability = np.column_stack([probability, 1.0 - probability.sum(axis=1)])
+        best = probability.argmax(axis=1).tolist()
+        return {
+            track: STRANGER if name == n else name
+            for track, name in enumerate(best)
+            if probability[track, name] > PROVED
+        }
+
+    def speaks_against(self, drone: int) -> bool:
+        """Whether it is said that the drone's track does not move as it tells."""
+        return self._found.log_ratio(drone, drone) < -SURELY
+
+
+class _Joint:
+    """The joint posterior of a team of which nobody's start is known: the names that an agent would publish."""
+
+    def __init__(self, n: int) -> None:
         self._tracks: dict[int, Track] = {}
+        self._identities = JointIdentities(
+            n + 1, cameras=[(CAMERA, MOUNT)], parameters=IdentityParameters(model="joint")
+        )
         for drone in range(n):
-            self._ids.announce(
-                Announcement(
-                    drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), SOMEWHERE_M**2 * np.eye(3)
-                )
+            cov = SOMEWHERE_M**2 * np.eye(3)
+            self._identities.announce(
+                Announcement(drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), cov)
             )
 
     def hear(self, said: Saying) -> None:
-        sure = SAID_M_S**2 * np.eye(3)
-        self._ids.on_motion(
+        cov, cov_velocity = SAID_M**2 * np.eye(3), SAID_M_S**2 * np.eye(3)
+        self._identities.on_motion(
             MotionReport(
-                said.drone_id + 1, "boot", 1, said.t, CLOCK_S, said.displacement, sure, said.velocity, sure
+                said.drone_id + 1, "boot", 1, said.t, CLOCK_S, said.displacement, cov, said.velocity, cov_velocity
             )
         )
 
     def observe(self, tracks: list[Track], view: ObserverCamera) -> None:
         t = view.observer.t
         shown = {track.id: track for track in tracks if np.isfinite(track.mean).all()}
-        missed = [
-            track._replace(t=t, coasting_since=track.coasting_since or t)
+        missed = {
+            id: track._replace(t=t, coasting_since=track.coasting_since or t)
             for id, track in self._tracks.items()
             if id not in shown
-        ]
-        self._tracks |= shown | {track.id: track for track in missed}
-        self._ids.observe([*shown.values(), *missed], view.observer)
+        }
+        self._tracks |= shown | missed
+        self._identities.observe([*shown.values(), *missed.values()], view.observer)
 
     def called(self) -> dict[int, int]:
-        """By track, the name that an agent would give it."""
-        labelled = self._ids.label(self._tracks.values())
+        """By track, the name that an agent would publish."""
         return {
-            one.track.id: STRANGER if one.identity == FOREIGN else one.identity - 1
-            for one in labelled
+            one.track.id: one.identity - 1 if isinstance(one.identity, int) else STRANGER
+            for one in self._identities.label(self._tracks.values())
             if one.identity is not None
         }
 
-    def log_ratio(self, track: int, drone: int) -> float:
-        named = self._ids._posterior.named.get(track)
-        if named is None:
-            return 0.0
-        p = named.p.get(drone + 1, 0.5)
-        return math.log(max(p, 1e-300) / max(1.0 - p, 1e-300))
+    def speaks_against(self, drone: int) -> bool:
+        """Whether the drone's track has another name."""
+        return self.called().get(drone, drone) != drone
 
 
-def trial(row: Row, n: int, seed: int, *, model: str = "matching") -> Trial:
-    """One flight of n drones; the same arguments give the same."""
+def trial(row: Row, n: int, seed: int, *, model: str = IdentityParameters().model) -> Trial:
+    """One flight of n drones; the same arguments give the same. model: `identity.model`."""
     scene = _Scene(row, n, seed)
-    found = _Joint(n) if model == "joint" else MotionEvidence()
+    found = _Joint(n) if model == "joint" else _Motion(n)
     names: dict[int, int] = {}
     named, exposed, said, spent, scans = math.inf, math.inf, math.inf, 0.0, 0
     accused: set[int] = set()
@@ -266,32 +293,19 @@ def trial(row: Row, n: int, seed: int, *, model: str = "matching") -> Trial:
         began = time.process_time()
         found.observe(tracks, view)
         spent, scans = spent + time.process_time() - began, scans + 1
-        called = found.called() if isinstance(found, _Joint) else _called(found, n)
+        called = found.called()
         for track, name in called.items():
             names.setdefault(track, name)
         if called.get(0) == liar:
             exposed = min(exposed, k * SCAN_S)
-        if found.log_ratio(0, 0) < -SURELY:
+        if found.speaks_against(0):
             said = min(said, k * SCAN_S)
-        accused |= {drone for drone in honest if found.log_ratio(drone, drone) < -SURELY}
+        accused |= {drone for drone in honest if found.speaks_against(drone)}
         if len(names) == n:
             named = min(named, k * SCAN_S)
             if liar is None or max(exposed, said) < math.inf:
                 break
     return Trial(named, exposed, said, names, accused, spent / scans)
-
-
-def _called(found: MotionEvidence, n: int) -> dict[int, int]:
-    """By track, the name that is sure enough by now."""
-    ratios = np.array([[found.log_ratio(track, drone) for drone in range(n)] for track in range(n)])
-    probability = matching_marginals(ratios - math.log(P_STRANGER))
-    probability = np.column_stack([probability, 1.0 - probability.sum(axis=1)])
-    best = probability.argmax(axis=1).tolist()
-    return {
-        track: STRANGER if name == n else name
-        for track, name in enumerate(best)
-        if probability[track, name] > PROVED
-    }
 
 
 def summarise(row: Row, n: int, trials: Sequence[Trial]) -> dict[str, Any]:

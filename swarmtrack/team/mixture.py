@@ -313,26 +313,31 @@ def _each_past_once(
     tracks: Sequence[TrackEvidence],
     mates: Sequence[Teammate],
 ) -> Array:
-    """Log ratios (n, k, m) of tracks and teammates, in which no teammate has two tracks at one time of the past: as far
-    as a track was a teammate and is nobody now, another track is that teammate only since it was taken over.
+    """Log ratios (n, k, m) of tracks and teammates, in which no teammate has two tracks at one time of the past.
 
+    A track that was a teammate and is something else now leaves another track no more than the time since then. As far
+    as it may have been something else all the time, the other one may have been that teammate for as long.
     base (s, k), each (s, k, m): by track, log evidence before each segment, and of it.
     """
     once = ratio.copy()
-    for c, mate in enumerate(mates):
-        holders = [h for h, track in enumerate(tracks) if track.held == mate.drone_id and len(base[h]) > 1]
-        for h in holders:
-            whole = np.exp(np.minimum(base[h][0] - np.logaddexp.reduce(base[h], axis=0), 0.0))
-            if tracks[h].segments[0].base is not None:
-                whole = np.zeros_like(whole)
-            for i, track in enumerate(tracks):
-                if i == h or track.held == mate.drone_id:
-                    continue
-                begun = 0 if track.segments[0].base is not None else 1
-                late = np.logaddexp.reduce(base[i][begun:] + each[i][begun:, :, c], axis=0, initial=-np.inf)
-                late -= np.logaddexp.reduce(base[i], axis=0)
-                with np.errstate(divide="ignore"):
-                    once[i, :, c] = np.logaddexp(np.log(whole) + once[i, :, c], np.log1p(-whole) + late)
+    nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
+    for h, holder in enumerate(tracks):
+        c = next((c for c, mate in enumerate(mates) if mate.drone_id == holder.held), None)
+        if c is None or len(base[h]) == 1:
+            continue
+        others = np.delete(np.exp(np.minimum(ratio[h], LOG_RATIO_MOST)), c, axis=1)
+        always = np.zeros(len(others))
+        if holder.is_whole:
+            whole = base[h][0][:, None] + np.delete(each[h][0], c, axis=1) - nobody[h][:, None]
+            always = np.exp(base[h][0] - nobody[h]) + np.exp(np.minimum(whole, LOG_RATIO_MOST)).sum(axis=1)
+        share = np.clip(always / (1.0 + others.sum(axis=1)), 1e-300, 1.0 - 1e-12)
+        for i, track in enumerate(tracks):
+            if i != h and track.held != holder.held:
+                since = slice(int(track.is_whole), None)
+                late = np.logaddexp.reduce(base[i][since] + each[i][since, :, c], axis=0, initial=-np.inf)
+                once[i, :, c] = np.logaddexp(
+                    np.log(share) + once[i, :, c], np.log1p(-share) + late - nobody[i]
+                )
     return once
 
 

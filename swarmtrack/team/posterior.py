@@ -376,4 +376,6 @@ class TeamPosterior:
     def _design(self, mate: Teammate, said: SaidPlace, camera: int) -> Array:
         """(3, 8): `evidence.design` of where a teammate says that it is, from a camera's last scan."""
         assert self._start is not None
-        return design((said.place - mate.start)[None], self._scans[camera][-1].origin - self._start)[0]
+        return np.asarray(
+            design((said.place - mate.start)[None], self._scans[camera][-1].origin - self._start)[0]
+        )

@@ -81,7 +81,7 @@ class TrackSegment:
     wander: WanderFilters
     log_handover: float = 0.0
     base: Array | None = None
-    weight: float = 1.0
+    weight: float = 0.0
 
 
 class Compared(NamedTuple):
@@ -180,7 +180,7 @@ class TrackEvidence:
 
     def __post_init__(self) -> None:
         n, self.n = self.n, 0
-        self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), WanderFilters(0))]
+        self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), WanderFilters(0), weight=1.0)]
         self.size, self.size_log = _no_size(0)
         self.strangers = StrangerFilters(0)
         self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
@@ -191,8 +191,13 @@ class TrackEvidence:
         """(n,): the teammates that it was compared with at least once."""
         return np.isfinite(self._at)
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether the first segment began with the track."""
+        return self.segments[0].base is None
+
     def log_weak(self, t: float) -> float:
-        """Log prior that a teammate, and no stranger, has such a track at t: the longer it is not confirmed, the less."""
+        """Log prior that a teammate, and no stranger, has such a track at t: the longer unconfirmed, the less."""
         if not self.weak or math.isnan(self._begun_t):
             return 0.0
         return LOG_WEAK - min(max(t - self._begun_t - WEAK_FREE_S, 0.0) * WEAK_PER_S, WEAK_MOST)
@@ -357,8 +362,8 @@ class TrackEvidence:
         sums = np.array([segment.sum for segment in self.segments])
         M = sums[..., _M].reshape(*sums.shape[:2], 8, 8)
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
-        is_whole = self.segments[0].base is None
-        return Told(M, sums[..., _LOG] - stranger, self.compared, self.size, self.size_log, is_whole)
+        log = sums[..., _LOG] - stranger
+        return Told(M, log, self.compared, self.size, self.size_log, self.is_whole)
 
     def bases(self, k: int) -> Array:
         """(s, k): log evidence of all before each segment, with its prior."""

@@ -12,6 +12,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 
@@ -54,7 +55,7 @@ class WanderFilters:
         self._aside = rotation @ self._aside @ to_old
 
     def innovations(
-        self, columns: Array, across: Array, direction: Array, t: float, wander: Wander
+        self, columns: NDArray[np.intp], across: Array, direction: Array, t: float, wander: Wander
     ) -> tuple[Array, Array]:
         """Fold in a bearing along direction (3,) at t of these teammates. across (m, 3, 8): where each should be across
         it, of z. Returns what is left of that (m, 3, 8), and its variance (m,) m² per axis."""

@@ -16,6 +16,12 @@ def test_nobody_is_called_by_another_s_name(mode, seeds):
         assert max(flight.all_named_s for flight in flights) < 8.0
 
 
+def test_the_joint_posterior_knows_codes_sooner():
+    flight = silent.look(5, silent.MODES[2], "mbm", 2, model="joint")
+    assert (flight.named, flight.wrong) == (5, 0)
+    assert flight.all_named_s < 5.0
+
+
 def test_the_page_says_what_was_flown():
     flights = [silent.Flight(2.0, 3, 0), silent.Flight(float("inf"), 2, 1)]
     row = silent.summary(3, flights)

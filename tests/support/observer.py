@@ -54,15 +54,16 @@ class Observer:
         self.moving = 0.0
         """px/s, to the right, of all tracks."""
         self.reports = 0
+        self.said = {}
 
     def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0, camera=FORWARD):
         place = camera.transform(FORWARD.inverse().transform(at(pixel, metres)))
         return self.hears_at(drone_id, place, sequence, boot)
 
-    def hears_at(self, drone_id, place, sequence=1, boot="0000000a"):
-        """place (3,) m: from the observer, which faces north."""
+    def hears_at(self, drone_id, place, sequence=1, boot="0000000a", sigma=0.1):
+        """place (3,) ± sigma m: from the observer, which faces north."""
         return self.identities.announce(
-            Announcement(drone_id, boot, sequence, self.t, 0.0, place, np.eye(3), 0.01 * np.eye(3))
+            Announcement(drone_id, boot, sequence, self.t, 0.0, place, np.eye(3), sigma**2 * np.eye(3))
         )
 
     def is_told(self, drone_id, pixel, boot="0000000a", metres=8.0, sigma=0.1):
@@ -85,6 +86,16 @@ class Observer:
         """The drone says that it does not move."""
         still, cov = np.zeros(3), 0.01 * np.eye(3)
         self.identities.on_motion(MotionReport(drone_id, boot, 1, self.t, 0.0, still, cov, still, cov))
+
+    def says_it_moved(self, drone_id, displacement, boot="0000000a"):
+        """The drone says how far it is from where it was first, (3,) m; its velocity is as from the last time."""
+        before, t = self.said.get(drone_id, (displacement, self.t - SCAN_S))
+        velocity = (displacement - before) / max(self.t - t, 1e-3)
+        self.said[drone_id] = displacement, self.t
+        cov = 0.01 * np.eye(3)
+        self.identities.on_motion(
+            MotionReport(drone_id, boot, 1, self.t, 0.0, displacement, cov, velocity, cov)
+        )
 
     def turn(self, degrees):
         """To the right; what it sees from now on is in its image as the test says."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, shifted
+from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
 from swarmtrack.geometry import rotation
 from swarmtrack.identity.identities import Identities
 from swarmtrack.messages import FOREIGN, IdClash, PeerDeparted, PeerExpelled
@@ -115,6 +115,53 @@ def test_names_are_found_again_after_the_place_was_lost(observer):
     observer.sees(3.0, a=LEFT, b=RIGHT)
     observer.identities.lose_place()
     assert observer.sees(2.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+
+
+def test_a_stranger_that_is_asked_for_while_the_place_is_lost_is_unknown():
+    observer = Observer(model="joint")
+    observer.hears(2, LEFT)
+    assert observer.sees(4.0, a=LEFT, b=shifted(RIGHT, down=-150))["b"] == FOREIGN
+    observer.identities.lose_place()
+    assert observer.names()["b"] is None
+
+
+def test_nobody_s_start_is_no_reason_to_doubt_the_own():
+    observer = Observer(model="joint")
+    for drone in (2, 3, 4):
+        observer.hears_at(drone, np.zeros(3), sigma=1e4)
+    observer.sees(3.0, a=LEFT, b=RIGHT)
+    assert not observer.identities.self_doubt
+
+
+def flown_aside(observer, *, off=0.0, seconds=12.0):
+    """Drones 2 and 3 say how they move, and fly to and fro; 2 is `off` m east of where it says that it started."""
+    places = {2: at(LEFT), 3: at(RIGHT)}
+    news = []
+    for k in range(round(seconds / SCAN_S)):
+        t = SCAN_S * k
+        moved = {2: [0.0, math.sin(0.9 * t), 0.3 * math.sin(t)], 3: [0.0, math.sin(0.5 * t), 0.0]}
+        for drone, way in moved.items():
+            observer.says_it_moved(drone, np.array(way))
+        seen = {drone: places[drone] + way for drone, way in moved.items()}
+        seen[2] = seen[2] + [0.0, off, 0.0]
+        observer.sees(SCAN_S, a=observer.pixel_of(seen[2], 0.0), b=observer.pixel_of(seen[3], 0.0))
+        news += observer.news.astray
+    return news
+
+
+def test_what_motion_alone_says_confirms_a_name(observer):
+    observer.sees(2.0, a=LEFT, b=RIGHT)
+    assert [entry.proof for entry in observer.identities.label(observer.tracks)] == [None, None]
+    assert flown_aside(observer) == []
+    proofs = [entry.proof for entry in observer.identities.label(observer.tracks)]
+    assert all(proof is not None and 2.0 < proof.since < 10.0 for proof in proofs)
+
+
+def test_a_drone_that_is_elsewhere_than_it_says_keeps_its_name_and_that_is_said_once(observer):
+    found = flown_aside(observer, off=1.5)
+    assert observer.names() == {"a": 2, "b": 3}
+    assert [(one.drone_id, one.track_id) for one in found] == [(2, 1)]
+    assert found[0].miss_m == pytest.approx(1.5, abs=0.5)
 
 
 @pytest.mark.parametrize("far", [1.9e3, 1e5, 1e9, 1e150])

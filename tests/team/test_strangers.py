@@ -22,7 +22,6 @@ def densities(directions, columns=1):
                 parallax=np.zeros((columns, 3)),
                 variance=VARIANCE * ones,
                 distance=DISTANCE * ones,
-                weight=ones,
             )
             for k, d in enumerate(directions)
         ]
@@ -69,7 +68,6 @@ def test_filters_turn_along():
             parallax=np.zeros((1, 3)),
             variance=VARIANCE * one,
             distance=DISTANCE * one,
-            weight=one,
         )
 
     for k, look in enumerate(looks[:-1]):

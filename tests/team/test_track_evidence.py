@@ -1,4 +1,4 @@
-"""What a track's bearings say since some instant is their sum, less the faded sum of then."""
+"""What a track's bearings say, all of them and since some instant."""
 
 import math
 
@@ -7,16 +7,19 @@ import pytest
 
 from swarmtrack.team.priors import BEARINGS_LAST_S, BOX_SPAN_SIGMA_LN, SEGMENTS_KEPT
 from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
+from swarmtrack.team.wander import Wander
 
 MATES = 3
 
 
-def add(track, t, chance):
+def add(track, t, chance, *, is_near=True):
     direction = np.array([1.0, *chance.normal(0.0, 0.05, 2)])
     bearing = Bearing(t, np.zeros(3), np.zeros(2), direction / np.linalg.norm(direction), 1e-4, 8.0)
     places = np.tile([8.0, 0.0, 0.0], (MATES, 1)) + chance.normal(0.0, 0.3, (MATES, 3))
     ones = np.ones(MATES)
-    mates = Compared(np.arange(MATES), places, 0.12 * ones, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones)
+    wander = Wander(0.1 * ones, 0.5 * ones, 0.01 * ones)
+    near = np.full(MATES, is_near)
+    mates = Compared(np.arange(MATES), places, wander, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near)
     track.add(bearing, mates, np.zeros(3))
 
 
@@ -32,25 +35,44 @@ def flown(times, begin=None):
 
 def test_a_segment_is_what_was_said_since_it_began():
     begun, fresh = flown([0.0, 0.5, 1.0, 1.5, 2.0], begin=1.2), flown([1.5, 2.0])
-    later = begun.told(2.0).M[1] - begun.size
-    assert later == pytest.approx(fresh.told(2.0).M[0] - fresh.size, rel=1e-9, abs=1e-9)
-    assert begun.told(2.0).M[0] == pytest.approx(flown([0.0, 0.5, 1.0, 1.5, 2.0]).told(2.0).M[0])
+    assert begun.told().M[1] == pytest.approx(fresh.told().M[0], rel=1e-9, abs=1e-9)
+    assert begun.told().M[0] == pytest.approx(flown([0.0, 0.5, 1.0, 1.5, 2.0]).told().M[0])
 
 
 def test_a_bearing_from_before_a_segment_is_not_of_it():
     track = flown([0.0, 0.5, 1.0, 1.5], begin=1.2)
-    before = track.told(1.6)
+    before = track.told()
     add(track, 1.1, np.random.default_rng(1))
-    after = track.told(1.6)
+    after = track.told()
     assert after.M[1] == pytest.approx(before.M[1])
     # The last bearing of each teammate is newer: this one is none.
     assert after.M[0] == pytest.approx(before.M[0])
 
 
-def test_what_bearings_say_fades():
-    track = flown([0.0, 0.5])
-    now, later = track.told(0.5).M[0] - track.size, track.told(0.5 + BEARINGS_LAST_S).M[0] - track.size
-    assert later == pytest.approx(now / math.e)
+def test_what_bearings_say_fades_as_more_is_said():
+    early, late = flown([0.0, 0.5]), flown([0.5 + BEARINGS_LAST_S])
+    before = early.told().M[0]
+    add(early, 0.5 + BEARINGS_LAST_S, np.random.default_rng(int((0.5 + BEARINGS_LAST_S) * 10)))
+    # By then nothing is left of how far the teammate was aside.
+    assert early.told().M[0] == pytest.approx(before / math.e + late.told().M[0], rel=1e-6)
+
+
+def test_a_box_says_how_far_its_drone_is():
+    near, anywhere = TrackEvidence(MATES, 0), TrackEvidence(MATES, 0)
+    add(near, 0.0, np.random.default_rng(1))
+    add(anywhere, 0.0, np.random.default_rng(1), is_near=False)
+
+    def says(track, distance):
+        # The box is that of a drone 8 m away, along a ray that is nearly north.
+        z = np.array([0.0, 0.0, 0.0, 0.0, 1.0, distance, 0.0, 0.0])
+        quadratic = np.einsum("a,rab,b->r", z, track.size[:, 0], z)
+        return float(np.logaddexp.reduce(track.size_log[:, 0] - 0.5 * quadratic))
+
+    assert says(near, 8.0) - says(near, 20.0) == pytest.approx(
+        says(anywhere, 8.0) - says(anywhere, 20.0), abs=1.0
+    )
+    # Farther is a smaller share than nearer by as much.
+    assert says(anywhere, 20.0) - says(anywhere, 0.8) > 1.0
 
 
 def test_only_so_many_segments_are_kept_the_likeliest_and_the_last():
@@ -65,18 +87,18 @@ def test_only_so_many_segments_are_kept_the_likeliest_and_the_last():
 def test_a_teammate_may_be_added_and_removed():
     track = flown([0.0, 0.5, 1.0], begin=0.7)
     track.grow(MATES + 1)
-    told = track.told(1.0)
+    told = track.told()
     assert told.M.shape == (2, MATES + 1, 8, 8)
     assert told.known.tolist() == [True] * MATES + [False]
     track.remove(0)
-    assert pytest.approx(told.M[:, 1:]) == track.told(1.0).M
-    assert track.told(1.0).log == pytest.approx(told.log[:, 1:])
+    assert pytest.approx(told.M[:, 1:]) == track.told().M
+    assert track.told().log == pytest.approx(told.log[:, 1:])
 
 
 def test_another_life_of_a_teammate_begins_with_nothing():
     track = flown([0.0, 0.5, 1.0], begin=0.7)
     track.forget(1)
-    told = track.told(1.0)
+    told = track.told()
     assert not told.M[:, 1].any()
     assert told.log[:, 1] == pytest.approx(0.0)
     assert told.M[:, 0].any()
