@@ -243,8 +243,7 @@ class JointMixture:
     def by_motion(
         self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], t: float, known: OwnKnowledge
     ) -> Array:
-        """(n, m): the probability that each track is each teammate if nobody's start were known, by the likeliest
-        components."""
+        """Probability (n, m) that each track is each teammate, if all starts were unknown, by the likeliest components."""
         weights = self.weight if self.weight.any() else np.eye(len(self.errors))[0]
         used = np.sort(np.argsort(-weights)[:PROOF_COMPONENTS])
         R = np.full((len(used), len(tracks), len(mates)), -np.inf)
@@ -266,7 +265,7 @@ class JointMixture:
     # --- where they are ---
 
     def stated_place(self, mate: Teammate, design: Array, known: OwnKnowledge) -> tuple[Array, Array]:
-        """As `place`, if everybody is where it says."""
+        """As `place`, with all starts as stated."""
         M = np.zeros((8, 8))
         first = self._marginal(mate, M[None], np.zeros(1, int), known).places(
             M,

@@ -21,6 +21,7 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import AgreedMotion, Announcement, Array
+from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.evidence import design, turned_back
 from swarmtrack.team.mixture import JointMixture, OwnKnowledge
 from swarmtrack.team.priors import (
@@ -47,7 +48,6 @@ from swarmtrack.team.priors import (
 from swarmtrack.team.reported_places import SaidPlace
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
-from swarmtrack.team.wander import Wander
 
 # s of scans that wait for reports of their time.
 _SCANS_KEPT_S = 2.5
@@ -113,7 +113,7 @@ class TeamPosterior:
         return self.mixture.p_fault
 
     def by_motion(self, t: float) -> dict[int, dict[int, float]]:
-        """By track and drone, what the probability of a name would be if nobody's start were known."""
+        """Probability of each name if all starts were unknown, by track and drone."""
         mates = list(self.teammates.values())
         if not mates or not self._tracks or self._team_has_changed:
             return {}
@@ -278,7 +278,7 @@ class TeamPosterior:
         compared = Compared(
             columns=np.array([mate.column for mate, _ in near]),
             place=np.array([said.place - mate.start for mate, said in near]),
-            wander=Wander(*np.array([said[1:] for _, said in near]).T),
+            deviation=Deviation(*np.array([said[1:] for _, said in near]).T),
             log_span=np.array([mate.log_span for mate, _ in near]),
             span_variance=np.array([mate.span_variance for mate, _ in near]),
             is_near=np.array([mate.knows_start for mate, _ in near]),

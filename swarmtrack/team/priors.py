@@ -64,8 +64,8 @@ SOMEWHERE_SIGMA_M = 30.0
 REPORTED_PLACE_SIGMA_M = 0.12
 # How far a teammate is from where it says that it moved, smoothly, m and rad/s, and white; the same of a code, and of a
 # plan.
-MOTION_WANDER, MOTION_WHITE_M = (0.03, 0.5), 0.02
-CODED_WANDER, PLANNED_WANDER, AGREED_WHITE_M = (0.1, 1.5), (0.3, 1.0), 0.02
+MOTION_DEVIATION, MOTION_WHITE_M = (0.03, 0.5), 0.02
+CODED_DEVIATION, PLANNED_DEVIATION, AGREED_WHITE_M = (0.1, 1.5), (0.3, 1.0), 0.02
 # How much farther off a place is that is carried on from the last report: of a drone that moves, and one that hovers.
 CARRIED_MOVING_M_S, CARRIED_HOVERING_M_S, MOVING_M_S = 0.6, 0.2, 0.3
 CARRIED_FREE_S, CARRIED_MOST_S = 0.2, 1.5
@@ -78,7 +78,7 @@ BEND_ERROR = 0.7
 # Beside what the tracker says: of the own attitude, of a box's centre against its drone's.
 BEARING_SIGMA_RAD, CENTRE_SIGMA_PX2 = 4e-3, 1.0
 # What lasts of the own attitude's error.
-ATTITUDE_WANDER_RAD = 0.006
+ATTITUDE_LASTING_SIGMA_RAD = 0.006
 # Bearings are compared in rounds, those of an agreed motion in every scan.
 ROUND_S = 0.5
 # A comparison is of bearings at most this far from the round's time.

@@ -19,7 +19,7 @@ from swarmtrack.team.priors import (
     CARRIED_HOVERING_M_S,
     CARRIED_MOST_S,
     CARRIED_MOVING_M_S,
-    MOTION_WANDER,
+    MOTION_DEVIATION,
     MOTION_WHITE_M,
     MOVING_M_S,
     REPORTED_PLACE_SIGMA_M,
@@ -108,6 +108,6 @@ class ReportedPlaces:
 def _said(place: Array, white_sigma: float, report: Report) -> SaidPlace:
     if not report.measured or report.velocity is None:
         return SaidPlace(place, 0.0, 1.0, REPORTED_PLACE_SIGMA_M**2 + white_sigma**2)
-    sigma, bandwidth = MOTION_WANDER
+    sigma, bandwidth = MOTION_DEVIATION
     sigma = math.hypot(sigma, report.t_sigma * float(np.linalg.norm(report.velocity)))
     return SaidPlace(place, sigma, bandwidth, MOTION_WHITE_M**2 + white_sigma**2)

@@ -11,10 +11,10 @@ from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport,
 from swarmtrack.team.priors import (
     AGREED_WHITE_M,
     BOX_SPAN_SIGMA_LN,
-    CODED_WANDER,
+    CODED_DEVIATION,
     MOTION_WAIT_S,
     PLACE_LASTS_S,
-    PLANNED_WANDER,
+    PLANNED_DEVIATION,
     SOMEWHERE_SIGMA_M,
 )
 from swarmtrack.team.reported_places import Report, ReportedPlaces, SaidPlace
@@ -103,7 +103,7 @@ class Teammate:
         motion = self._agreed_at(t)
         if motion is not None:
             now = np.array([np.interp(t, motion.t, axis) for axis in motion.displacement.T])
-            sigma, bandwidth = PLANNED_WANDER if motion.planned else CODED_WANDER
+            sigma, bandwidth = PLANNED_DEVIATION if motion.planned else CODED_DEVIATION
             return SaidPlace(self.start + now - motion.displacement[0], sigma, bandwidth, AGREED_WHITE_M**2)
         return self.path.at(t)
 

@@ -1,7 +1,7 @@
 """Evidence of one track's bearings for each teammate.
 
-For each teammate the innovations of bearings (`wander.py`) add up to a matrix M (`evidence.py`), to normalisers, and to
-the predictive densities of a stranger (`strangers.py`).
+For each teammate the innovations of bearings (`deviation.py`) add up to a matrix M (`evidence.py`), to normalisers, and
+to the predictive densities of a stranger (`strangers.py`).
 
 A segment is the hypothesis that the track went over to its present target at some instant: it has sums of its own from
 then on. Earlier bearings still count for the observer's errors, whichever target they were of.
@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.team.deviation import Deviation, DeviationFilters
 from swarmtrack.team.evidence import design
 from swarmtrack.team.priors import (
-    ATTITUDE_WANDER_RAD,
+    ATTITUDE_LASTING_SIGMA_RAD,
     BEARINGS_LAST_S,
     BOX_SIZE_SIGMA_LN,
     DISTANCE_SHARE,
@@ -42,7 +43,6 @@ from swarmtrack.team.priors import (
     WEAK_PER_S,
 )
 from swarmtrack.team.strangers import KINDS, StrangerFilters
-from swarmtrack.team.wander import Wander, WanderFilters
 
 # Columns of a sum: M, the log normalisers, the stranger's log densities, and the seconds of bearings.
 _M = slice(0, 64)
@@ -73,12 +73,12 @@ class Bearing(NamedTuple):
 
 @dataclass(slots=True)
 class TrackSegment:
-    """since [s]; sum (n, …): of the bearings since then; wander: of the teammates; log_handover: log prior that it
+    """since [s]; sum (n, …): of the bearings since then; deviation: of the teammates; log_handover: log prior that it
     began there; base (k,): log evidence of all that was before, by component, None for the first."""
 
     since: float
     sum: Array
-    wander: WanderFilters
+    deviation: DeviationFilters
     log_handover: float = 0.0
     base: Array | None = None
     weight: float = 0.0
@@ -87,13 +87,13 @@ class TrackSegment:
 class Compared(NamedTuple):
     """m teammates at the time of a bearing.
 
-    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; wander: how far it
+    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; deviation: how far it
     may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance.
     """
 
     columns: NDArray[np.intp]
     place: Array
-    wander: Wander
+    deviation: Deviation
     log_span: Array
     span_variance: Array
     is_near: NDArray[np.bool_]
@@ -103,7 +103,7 @@ class Compared(NamedTuple):
         return Compared(
             self.columns[chosen],
             self.place[chosen],
-            Wander(*(of[chosen] for of in self.wander)),
+            Deviation(*(of[chosen] for of in self.deviation)),
             self.log_span[chosen],
             self.span_variance[chosen],
             self.is_near[chosen],
@@ -180,7 +180,7 @@ class TrackEvidence:
 
     def __post_init__(self) -> None:
         n, self.n = self.n, 0
-        self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), WanderFilters(0), weight=1.0)]
+        self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), DeviationFilters(0), weight=1.0)]
         self.size, self.size_log = _no_size(0)
         self.strangers = StrangerFilters(0)
         self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
@@ -214,7 +214,7 @@ class TrackEvidence:
         self._camera_at = np.concatenate([self._camera_at, np.zeros((more, 3))])
         for segment in self.segments:
             segment.sum = np.concatenate([segment.sum, np.zeros((more, _WIDTH))])
-            segment.wander.grow(n)
+            segment.deviation.grow(n)
         self.strangers.grow(n)
         self.n = n
 
@@ -225,7 +225,7 @@ class TrackEvidence:
         self.strangers.restart(column)
         for segment in self.segments:
             segment.sum[column] = 0.0
-            segment.wander.restart(column)
+            segment.deviation.restart(column)
 
     def remove(self, column: int) -> None:
         """A teammate is compared no more."""
@@ -233,7 +233,7 @@ class TrackEvidence:
         self._at, self._camera_at = np.delete(self._at, column), np.delete(self._camera_at, column, 0)
         for segment in self.segments:
             segment.sum = np.delete(segment.sum, column, 0)
-            segment.wander.remove(column)
+            segment.deviation.remove(column)
         self.strangers.remove(column)
         self.n -= 1
 
@@ -242,7 +242,7 @@ class TrackEvidence:
         for segment in self.segments:
             M = segment.sum[:, _M].reshape(-1, 8, 8)
             segment.sum[:, _M] = (to_old.T @ M @ to_old).reshape(-1, 64)
-            segment.wander.turn(to_old, rotation)
+            segment.deviation.turn(to_old, rotation)
         self.size = to_old.T @ self.size @ to_old
         self.strangers.turn(rotation)
 
@@ -264,10 +264,12 @@ class TrackEvidence:
         mates, since = mates.only(counts), since[counts]
         j, first = mates.columns, ~np.isfinite(since)
         rho, d = bearing.distance, bearing.direction
-        white = bearing.variance * rho**2 + mates.wander.white
-        wander = mates.wander._replace(
+        white = bearing.variance * rho**2 + mates.deviation.white
+        deviation = mates.deviation._replace(
             sigma=np.where(
-                mates.wander.sigma > 0.0, np.hypot(mates.wander.sigma, ATTITUDE_WANDER_RAD * rho), 0.0
+                mates.deviation.sigma > 0.0,
+                np.hypot(mates.deviation.sigma, ATTITUDE_LASTING_SIGMA_RAD * rho),
+                0.0,
             ),
             white=white,
         )
@@ -286,7 +288,7 @@ class TrackEvidence:
         for segment in self.segments:
             if bearing.t < segment.since:
                 continue
-            left, S = segment.wander.innovations(j, across, d, bearing.t, wander)
+            left, S = segment.deviation.innovations(j, across, d, bearing.t, deviation)
             said = np.empty((len(j), _WIDTH))
             said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
             said[:, _LOG] = 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
@@ -347,7 +349,7 @@ class TrackEvidence:
         if len(self.segments) > SEGMENTS_KEPT:
             del self.segments[min(range(len(self.segments)), key=lambda s: self.segments[s].weight)]
         self.segments.append(
-            TrackSegment(t, np.zeros((self.n, _WIDTH)), WanderFilters(self.n), log_handover, base)
+            TrackSegment(t, np.zeros((self.n, _WIDTH)), DeviationFilters(self.n), log_handover, base)
         )
 
     def weigh_segments(self, weight: Array) -> None:

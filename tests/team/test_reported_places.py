@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarmtrack.team.priors import MOTION_WANDER, REPORTED_PLACE_SIGMA_M
+from swarmtrack.team.priors import MOTION_DEVIATION, REPORTED_PLACE_SIGMA_M
 from swarmtrack.team.reported_places import Report, ReportedPlaces
 
 
@@ -51,7 +51,7 @@ def test_who_says_how_it_moves_is_nearer_to_that_and_off_smoothly():
     said = made.at(0.1)
     assert said.white < 0.1 * REPORTED_PLACE_SIGMA_M**2
     # Half a decimetre of it is its clock.
-    assert said.sigma == pytest.approx(np.hypot(MOTION_WANDER[0], 0.05))
+    assert said.sigma == pytest.approx(np.hypot(MOTION_DEVIATION[0], 0.05))
 
 
 def test_a_report_that_is_not_newer_is_dropped():

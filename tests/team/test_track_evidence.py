@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.priors import BEARINGS_LAST_S, BOX_SPAN_SIGMA_LN, SEGMENTS_KEPT
 from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
-from swarmtrack.team.wander import Wander
 
 MATES = 3
 
@@ -17,9 +17,9 @@ def add(track, t, chance, *, is_near=True):
     bearing = Bearing(t, np.zeros(3), np.zeros(2), direction / np.linalg.norm(direction), 1e-4, 8.0)
     places = np.tile([8.0, 0.0, 0.0], (MATES, 1)) + chance.normal(0.0, 0.3, (MATES, 3))
     ones = np.ones(MATES)
-    wander = Wander(0.1 * ones, 0.5 * ones, 0.01 * ones)
+    deviation = Deviation(0.1 * ones, 0.5 * ones, 0.01 * ones)
     near = np.full(MATES, is_near)
-    mates = Compared(np.arange(MATES), places, wander, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near)
+    mates = Compared(np.arange(MATES), places, deviation, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near)
     track.add(bearing, mates, np.zeros(3))
 
 

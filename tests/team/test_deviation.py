@@ -7,10 +7,10 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from swarmtrack.geometry import rotation
-from swarmtrack.team.wander import Wander, WanderFilters
+from swarmtrack.team.deviation import Deviation, DeviationFilters
 
 SIGMA, BANDWIDTH, WHITE = 0.3, 0.8, 0.05**2
-WANDER = Wander(np.array([SIGMA]), np.array([BANDWIDTH]), np.array([WHITE]))
+DEVIATION = Deviation(np.array([SIGMA]), np.array([BANDWIDTH]), np.array([WHITE]))
 AHEAD = np.array([1.0, 0.0, 0.0])
 
 
@@ -23,9 +23,9 @@ def across(chance):
 
 def folded_in(times, designs):
     """M (8, 8) of all bearings, and the sum of their normalisers."""
-    filters, M, log = WanderFilters(1), np.zeros((8, 8)), 0.0
+    filters, M, log = DeviationFilters(1), np.zeros((8, 8)), 0.0
     for t, G in zip(times, designs, strict=True):
-        left, S = filters.innovations(np.array([0]), G[None], AHEAD, t, WANDER)
+        left, S = filters.innovations(np.array([0]), G[None], AHEAD, t, DEVIATION)
         M += left[0].T @ left[0] / S[0]
         log -= math.log(2.0 * math.pi * S[0])
     return M, log
@@ -57,25 +57,25 @@ def test_filters_turn_along():
     chance = np.random.default_rng(3)
     first, second, z = across(chance), across(chance), chance.normal(size=8)
     turn = rotation.from_euler(0.0, 0.0, 0.7)
-    still, turned = WanderFilters(1), WanderFilters(1)
+    still, turned = DeviationFilters(1), DeviationFilters(1)
     to_old = np.eye(8) + 0.1 * chance.normal(size=(8, 8))
     for filters in (still, turned):
-        filters.innovations(np.array([0]), first[None], AHEAD, 0.0, WANDER)
+        filters.innovations(np.array([0]), first[None], AHEAD, 0.0, DEVIATION)
     turned.turn(to_old, turn)
-    left, _ = still.innovations(np.array([0]), second[None], AHEAD, 0.3, WANDER)
-    same, _ = turned.innovations(np.array([0]), (turn @ second @ to_old)[None], turn @ AHEAD, 0.3, WANDER)
+    left, _ = still.innovations(np.array([0]), second[None], AHEAD, 0.3, DEVIATION)
+    same, _ = turned.innovations(np.array([0]), (turn @ second @ to_old)[None], turn @ AHEAD, 0.3, DEVIATION)
     assert same[0] @ z == pytest.approx(turn @ left[0] @ to_old @ z)
 
 
 def test_a_teammate_may_be_added_removed_and_begun_again():
     chance = np.random.default_rng(4)
-    filters = WanderFilters(2)
+    filters = DeviationFilters(2)
     G = np.stack([across(chance), across(chance)])
-    both = Wander(*(np.repeat(value, 2) for value in WANDER))
+    both = Deviation(*(np.repeat(value, 2) for value in DEVIATION))
     filters.innovations(np.array([0, 1]), G, AHEAD, 0.0, both)
     filters.grow(3)
     filters.remove(0)
     filters.restart(0)
-    left, S = filters.innovations(np.array([0]), G[:1], AHEAD, 0.1, WANDER)
+    left, S = filters.innovations(np.array([0]), G[:1], AHEAD, 0.1, DEVIATION)
     assert left[0] == pytest.approx(G[0])
     assert S[0] == pytest.approx(SIGMA**2 + WHITE)

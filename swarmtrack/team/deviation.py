@@ -17,15 +17,15 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 
 
-class Wander(NamedTuple):
-    """Of m teammates (m,): sigma [m] per axis, bandwidth [rad/s], and the white variance [m²] on top."""
+class Deviation(NamedTuple):
+    """Standard deviation per axis [m], bandwidth [rad/s], and white variance [m²] on top, (m,) each."""
 
     sigma: Array
     bandwidth: Array
     white: Array
 
 
-class WanderFilters:
+class DeviationFilters:
     """Filters of n teammates. `aside` (n, 2, 3, 8): of z, how far it is aside [m] and how fast [m/s]."""
 
     def __init__(self, n: int) -> None:
@@ -35,7 +35,7 @@ class WanderFilters:
 
     def grow(self, n: int) -> None:
         """Room for n teammates."""
-        more = WanderFilters(n)
+        more = DeviationFilters(n)
         k = len(self._t)
         for name, value in vars(self).items():
             vars(more)[name][:k] = value
@@ -47,7 +47,7 @@ class WanderFilters:
             vars(self)[name] = np.delete(value, column, 0)
 
     def restart(self, column: int) -> None:
-        """That filter begins again."""
+        """Begin one filter again."""
         self._t[column] = -math.inf
 
     def turn(self, to_old: Array, rotation: Array) -> None:
@@ -55,13 +55,13 @@ class WanderFilters:
         self._aside = rotation @ self._aside @ to_old
 
     def innovations(
-        self, columns: NDArray[np.intp], across: Array, direction: Array, t: float, wander: Wander
+        self, columns: NDArray[np.intp], across: Array, direction: Array, t: float, of: Deviation
     ) -> tuple[Array, Array]:
         """Fold in a bearing along direction (3,) at t of these teammates. across (m, 3, 8): where each should be across
         it, of z. Returns what is left of that (m, 3, 8), and its variance (m,) m² per axis."""
         begun = np.isfinite(self._t[columns])
         dt = np.where(begun, t - self._t[columns], 0.0)
-        w, v = wander.bandwidth, wander.sigma**2
+        w, v = of.bandwidth, of.sigma**2
         decay = np.exp(-w * dt)
         F = decay * np.array([1.0 + w * dt, dt, -w * w * dt, 1.0 - w * dt])
         x, P = self._aside[columns], self._cov[columns]
@@ -76,7 +76,7 @@ class WanderFilters:
         p00, p01, p11 = np.where(begun, p00, v), np.where(begun, p01, 0.0), np.where(begun, p11, v * w * w)
         left = across - ahead[:, 0]
         left -= direction[:, None] * (direction @ left)[:, None]
-        S = p00 + wander.white
+        S = p00 + of.white
         k0, k1 = p00 / S, p01 / S
         ahead[:, 0] += k0[:, None, None] * left
         ahead[:, 1] += k1[:, None, None] * left
