@@ -198,7 +198,8 @@ class CameraSection(Section):
         description="v4l2:///dev/video0, file://, images://, rtsp://, http://, detections:// or sim://"
     )
     calibration: Path | None = Field(
-        default=None, description="calibration file of Kalibr, ROS camera_info, OpenCV or EuRoC"
+        default=None,
+        description="calibration file of Kalibr, ROS, OpenCV or another tool (docs/calibration.md)",
     )
     calibration_camera: Text | None = Field(
         default=None, description="which camera, where the file holds several, such as cam1"
