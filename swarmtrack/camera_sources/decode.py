@@ -14,6 +14,10 @@ from swarmtrack.messages import Image
 READ_FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
+JPEG_PADDING = b"\0\r\n "
+"""In front of an image, where a server separates it from its header by more than one line."""
+
+
 def decode_grey(data: memoryview, width: int, height: int, stride: int) -> Image:
     """8-bit grey, `stride` bytes per line. Returns a copy (height, width)."""
     return np.array(_lines(data, width, height, stride))
@@ -40,10 +44,11 @@ def _lines(data: memoryview, used: int, height: int, stride: int) -> Image:
 
 def decode_jpeg(data: bytes | memoryview, grey: bool = False) -> Image:
     """A whole baseline or progressive JPEG. Returns (h, w, 3) BGR, or (h, w) if it is grey or `grey` is asked."""
-    data = bytes(data)
+    data = bytes(data).lstrip(JPEG_PADDING)
     check_pixels(data)
-    # libjpeg fills what is missing with grey and OpenCV does not tell, so the end is looked for. Drivers pad behind it.
-    if b"\xff\xd9" not in data[-1024:] and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
+    # libjpeg fills what is missing with grey and OpenCV does not tell, so the end is looked for: behind the last scan's
+    # start, since a thumbnail has an end of its own. What comes after it is padding, of any kind and length.
+    if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
         raise BadImage("JPEG is cut short")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE if grey else READ_FLAGS)
@@ -64,6 +69,7 @@ def check_pixels(data: bytes) -> tuple[int, int]:
 
 def jpeg_size(data: bytes) -> tuple[int, int]:
     """(width, height) from the frame header, without decoding. ITU-T T.81, annex B."""
+    data = data.lstrip(JPEG_PADDING)
     if data[:2] != b"\xff\xd8":
         raise BadImage(f"not a JPEG: starts with {data[:4].hex(' ') or 'nothing'}")
     at = 2
