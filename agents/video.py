@@ -59,6 +59,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="horizontal field of view (default: %(default)g)",
     )
+    parser.add_argument(
+        "--fps",
+        type=positive,
+        metavar="HZ",
+        help="frames per second, for a file without times (default: the file's own times)",
+    )
     add_folder(parser, "--out", "output folder (default: FILE's name, in the current folder)")
     add_file(parser, "--model", "the detector, an ONNX file (default: the shipped one)")
 
@@ -74,8 +80,14 @@ def run(args: argparse.Namespace) -> int:
     """Exit codes: 0 done, 1 a part of the file could not be read, 2 wrong usage."""
     from swarmtrack.camera_sources.video import VideoFile
 
-    video = VideoFile(args.file, None)
-    out = args.out if args.out is not None else Path(f"{args.file.stem}-tracked")
+    video = VideoFile(args.file, args.fps)
+    if video.note:
+        print(
+            f"swarmtrack video: {video.note.replace('(fps= sets them)', '(--fps sets them)')}",
+            file=sys.stderr,
+        )
+    stem = os.fsencode(args.file.stem).decode(errors="replace")
+    out = args.out if args.out is not None else Path(f"{stem}-tracked")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SourceError(f"--out {out}: already exists, expected an empty folder or a new one")
     try:
@@ -90,7 +102,9 @@ def run(args: argparse.Namespace) -> int:
 def _write_config(args: argparse.Namespace, out: Path, size: tuple[int, int]) -> Path:
     width, height = size
     path = out / "agent.toml"
-    source = f"file://{quote(str(args.file.absolute()))}?pace=fast"
+    source = f"file://{quote(os.fsencode(args.file.absolute()))}?pace=fast"
+    if args.fps is not None:
+        source += f"&fps={args.fps:g}"
     text = CONFIG.format(
         name=path,
         jsonl=json.dumps(str(out.absolute() / "tracks.jsonl")),

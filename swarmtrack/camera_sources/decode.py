@@ -9,8 +9,8 @@ from swarmtrack.camera_sources.frame_slot import BadImage
 from swarmtrack.camera_sources.limits import MAX_DECODED_PIXELS
 from swarmtrack.messages import Image
 
-# "As the sensor saw it": grey stays grey, 16 bits become 8, and the EXIF orientation, which would turn the image
-# under its calibration, is ignored.
+# "As the sensor saw it": grey stays grey, and the EXIF orientation is ignored, which would turn the image under its
+# calibration.
 READ_FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 

@@ -48,3 +48,11 @@ DEFAULT_FRAME_PERIOD_S = 1 / 30
 DEFAULT_VIDEO_HZ = 30.0
 # Between two frames; more is a damaged time, for which nobody wants to wait.
 LONGEST_VIDEO_PAUSE_S = 10.0
+# More are nonsense of a header.
+MOST_VIDEO_FRAMES = 1e8
+# In a row until the end is believed: behind a damaged part there may be more.
+MOST_FAILED_READS = 16
+# Between the last frame and the end that the header announces.
+END_SLACK_PERIODS = 1.5
+# From this many bits per pixel on, 8 are not enough to show what a scene holds.
+DEEP_BITS = 12
