@@ -23,6 +23,7 @@ from swarmtrack.errors import SourceError, ungrouped
 if TYPE_CHECKING:
     from swarmtrack.messages import LinkStatus
 
+HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr", "labelled_boxes")
 FOV_DEG = 70.0  # from left to right: of most webcams and small cameras
 COLUMNS = (
     "t_s", "frame", "id", "u_px", "v_px", "vu_px_s", "vv_px_s", "w_px", "h_px", "status", "probability"
@@ -67,6 +68,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_folder(parser, "--out", "output folder (default: FILE's name, in the current folder)")
     add_file(parser, "--model", "the detector, an ONNX file (default: the shipped one)")
+    parser.add_argument(
+        "--head",
+        choices=HEADS,
+        help="format of that file's outputs, where it can be read in more than one way",
+    )
+    parser.add_argument(
+        "--names",
+        type=_words,
+        metavar="NAME,…",
+        help="all classes of that file in their order, if it has no names",
+    )
+    parser.add_argument(
+        "--classes",
+        type=_words,
+        metavar="NAME,…",
+        help="the classes that are drones (default: those with a drone's name)",
+    )
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def _angle(text: str) -> float:
@@ -118,6 +140,10 @@ def _write_config(args: argparse.Namespace, out: Path, size: tuple[int, int]) ->
     )
     if args.model is not None:
         text += f"\n[detector]\nmodel = {json.dumps(str(args.model.absolute()))}\n"
+        said = {"head": args.head, "names": args.names, "classes": args.classes}
+        text += "".join(
+            f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in said.items() if value
+        )
     path.write_text(text, encoding="utf-8")
     return path
 

@@ -442,7 +442,7 @@ class DetectorSection(Section):
         default=None,
         description="folder for engines compiled by TensorRT or OpenVINO, instead of ~/.cache/swarmtrack",
     )
-    head: Literal["auto", "centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr"] = Field(
+    head: Literal["auto", "centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr", "labelled_boxes"] = Field(
         default="auto", description="format of your own network's outputs"
     )
     names: tuple[Text, ...] = Field(
