@@ -215,8 +215,8 @@ def _unknown(path: str, trial: Trial, classes: int | None, more: str = "") -> Mo
     known = "" if classes is None else f" and {classes} class{'es' if classes > 1 else ''}"
     return ModelError(
         f"{path}: its outputs have no known format: {_shapes(trial)} for an input of {width}x{height}{known}{more}; "
-        f"known are {', '.join(f'{head} {form}' for head, form in HEAD_FORMATS.items())}; export it so, or set {HOW_TO_SAY} "
-        "(and names, where the file has none)"
+        f"known are {', '.join(f'{head} {form}' for head, form in HEAD_FORMATS.items())}; export it so, or set "
+        f"{HOW_TO_SAY} (and names, where the file has none)"
     )
 
 

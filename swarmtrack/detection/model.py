@@ -187,8 +187,8 @@ def check_input(path: Path, session: ort.InferenceSession) -> NetInput:
         min(fixed) >= SMALLEST_NET_INPUT_PX and width * height <= MOST_INPUT_PIXELS
     ):
         raise ModelError(
-            f"{path}: its input is {width}x{height} px, expected a detector's: {SMALLEST_NET_INPUT_PX} px at least on each "
-            f"side, and {MOST_INPUT_PIXELS / 1e6:.1f} megapixels at most"
+            f"{path}: its input is {width}x{height} px, expected a detector's: {SMALLEST_NET_INPUT_PX} px at least on "
+            f"each side, and {MOST_INPUT_PIXELS / 1e6:.1f} megapixels at most"
         )
     size = (sizes[0].name, SIZE_ELEMENTS[sizes[0].type]) if sizes else (None, np.int64)
     return NetInput(images[0].name, ELEMENTS[images[0].type], shape[1], fixed, *size)

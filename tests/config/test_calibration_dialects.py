@@ -28,6 +28,7 @@ from support.calibrations import (
     kalibr,
 )
 from support.places import ROOT, writer
+from swarmtrack.agents.main import main
 from swarmtrack.config.camera_files import CALIBRATION_DIALECTS, load_calibration
 from swarmtrack.errors import CalibrationError
 from swarmtrack.geometry.camera import Equidistant, RadTan
@@ -211,6 +212,17 @@ def test_what_no_dialect_means_is_refused_with_a_sentence(write, text, old, new,
         load_calibration(path)
     assert str(caught.value).startswith(str(path))
     assert "expected" in str(caught.value)
+
+
+def test_config_check_prints_what_was_made_of_a_file_and_what_is_unlikely_in_a_lens(write, tmp_path, capsys):
+    lens = tmp_path / "lens.yaml"
+    lens.write_text(CALIBRATIONS["Kalibr eucm"].text, encoding="utf-8")
+    text = 'drone.id = 1\nnetwork.transport = "memory"\n[camera]\nsource = "detections://127.0.0.1:9/"\n'
+    assert main(["config", "check", str(write(f'{text}calibration = "{lens}"\n'))]) == 0
+    assert "the extended unified lens is read as equidistant, within 0.0" in capsys.readouterr().out
+    inline = "intrinsics = { fx = 299.5, fy = 300.1, cx = 254.1, cy = 183.9, width = 2064, height = 1544 }\n"
+    assert main(["config", "check", str(write(text + inline))]) == 0
+    assert "warning: the principal point is off the image centre by 38 %" in capsys.readouterr().out
 
 
 def test_a_tilted_camera_of_orb_slam_is_where_it_says(write):
