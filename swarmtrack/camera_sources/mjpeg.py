@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     import aiohttp
 
 
+UNNAMED_STREAMS = ("application/octet-stream", "video/x-motion-jpeg", "video/x-mjpeg", "video/mjpeg")
+
+
 class MjpegCamera:
     """An MJPEG stream over HTTP."""
 
@@ -109,7 +112,8 @@ def _boundary(response: aiohttp.ClientResponse) -> str:
             f"is {kind}, a single picture, expected a stream of JPEGs: look in the camera's manual for the path of "
             "its MJPEG stream"
         )
-    if not kind.startswith("multipart/"):
+    # Some servers name the stream after what it holds, or not at all.
+    if not kind.startswith("multipart/") and kind not in UNNAMED_STREAMS:
         raise StreamEnded(f"is {kind}, expected a stream of JPEGs, multipart/x-mixed-replace")
     header = Message()
     header["Content-Type"] = response.headers.get("Content-Type", "")

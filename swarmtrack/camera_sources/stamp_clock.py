@@ -22,6 +22,8 @@ from swarmtrack.camera_sources.limits import (
 )
 from swarmtrack.clock import Clock
 
+SAME_DAY_S = 86400.0
+
 
 class _OurClock(NamedTuple):
     """One that stamps may be on. ages: of the last frames [s]."""
@@ -60,6 +62,9 @@ class StampClock:
             if not math.isnan(age) and (nearest is None or abs(age) < abs(nearest[0])):
                 nearest = age, ours
         self.problem = "they are no numbers of seconds" if nearest is None else _apart(*nearest)
+        for unit, per_second in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
+            if abs(stamp / per_second - self._clock.utc()) < SAME_DAY_S:
+                self.problem = f"they are {unit}, expected seconds"
         return None
 
 

@@ -74,14 +74,18 @@ class VideoFile:
             )
         if not os.access(path, os.R_OK):
             raise SourceError(f"video file {path}: permission denied")
-        capture = _open_file(path)
+        capture = open_path(path)
         try:
             if not capture.isOpened():
                 raise SourceError(
                     f"video file {path}: {path.stat().st_size} bytes that are not a readable video; "
                     "a recording that was cut off before it was closed looks like this"
                 )
-            found, image = capture.read()
+            # A stream that was joined in its middle begins with frames that cannot be decoded.
+            for _ in range(MOST_FAILED_READS):
+                found, image = capture.read()
+                if found:
+                    break
             if not found:
                 raise SourceError(f"video file {path}: holds no frame that can be read")
             self.size = (image.shape[1], image.shape[0])
@@ -101,7 +105,7 @@ class VideoFile:
             )
         if self._is_deep:
             notes.append("16 bits per pixel are stretched to 8")
-        elif (bits := _depth(pixels)) >= DEEP_BITS:
+        elif (bits := _depth(pixels)) >= DEEP_BITS or (bits > 8 and _is_grey(pixels)):
             notes.append(
                 f"{bits} bits per pixel are cut to 8, and faint contrast is lost: convert it with "
                 "ffmpeg -i FILE -c:v ffv1 -pix_fmt gray16le OUT.mkv"
@@ -110,7 +114,7 @@ class VideoFile:
 
     def play(self) -> Iterator[Picture]:
         options = [cv2.CAP_PROP_CONVERT_RGB, 0] if self._is_deep else []
-        capture = _open_file(self._path, options)
+        capture = open_path(self._path, options)
         stretch = Stretch()
         try:
             origin, media, last, sequence, failed = 0.0, 0.0, -self.period, 0, 0
@@ -162,7 +166,7 @@ class VideoFile:
         return True, f"ended after {good} frames"
 
 
-def _open_file(path: Path, parameters: Sequence[int] = ()) -> cv2.VideoCapture:
+def open_path(path: Path, parameters: Sequence[int] = ()) -> cv2.VideoCapture:
     """Open a file whatever its name is: FFmpeg takes a name with a colon for a protocol, OpenCV takes UTF-8 only."""
     name = os.path.abspath(path)
     try:
@@ -178,7 +182,7 @@ def _open_file(path: Path, parameters: Sequence[int] = ()) -> cv2.VideoCapture:
 
 def _packets(path: Path) -> tuple[int, float]:
     """Number of packets with frames in a file, and the time [s] of the last from the first: without decoding."""
-    capture = _open_file(path, [cv2.CAP_PROP_FORMAT, -1])
+    capture = open_path(path, [cv2.CAP_PROP_FORMAT, -1])
     count, last_ms = 0, 0.0
     try:
         while capture.grab():
@@ -194,6 +198,10 @@ def _has_no_times(path: Path) -> bool:
     with path.open("rb") as file:
         head = file.read(4)
     return head.startswith((b"\0\0\0\1", b"\0\0\1", b"\xff\xd8"))
+
+
+def _is_grey(pixels: int) -> bool:
+    return b"Y1" in (pixels.to_bytes(4, "little")[:2], pixels.to_bytes(4, "big")[:2])
 
 
 def _depth(pixels: int) -> int:

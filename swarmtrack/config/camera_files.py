@@ -351,7 +351,18 @@ def _vins(file: CameraTable, camera: str | None) -> Calibration:
         )
     )
     name = str(file.table.get("camera_name") or file.path.stem)
-    return _only(file, Calibration(lens, name=name, source_format="vins", notes=notes), camera)
+    return _only(file, Calibration(lens, _on_imu(file), None, name, "vins", notes), camera)
+
+
+def _on_imu(file: CameraTable) -> Pose | None:
+    """Where VINS' file says that the camera is on the IMU: from the camera's coordinates to the IMU's."""
+    if file.has("body_T_cam0"):
+        return file.pose("body_T_cam0")
+    if not (file.has("extrinsicRotation") and file.has("extrinsicTranslation")):
+        return None
+    R = file.numbers("extrinsicRotation", (3, 3))
+    T = np.column_stack([R, file.numbers("extrinsicTranslation", (3,))])
+    return CameraTable(file.path, {"extrinsicRotation": T.tolist()}).pose("extrinsicRotation")
 
 
 def _pair(file: CameraTable, keys: Sequence[str]) -> tuple[float, float]:

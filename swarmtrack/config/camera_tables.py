@@ -245,6 +245,9 @@ class CameraTable:
 
     def _coefficients(self, said: LensNumbers, model: str, key: str) -> tuple[float, ...]:
         """Coefficients of the distortion, as many as the model has; () where it distorts nothing."""
+        if said.coefficients is not None and said.coefficients.size == 0 and model in RADTAN:
+            # As simulators write a lens without distortion.
+            return ()
         if said.coefficients is None or said.coefficients.size == 0:
             if model in NO_DISTORTION:
                 return ()

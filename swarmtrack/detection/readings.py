@@ -181,10 +181,11 @@ def _detr(trial: Trial, classes: int | None) -> HeadReading | None:
 
 
 def _labelled_boxes(trial: Trial, _: int | None) -> HeadReading | None:
-    """RT-DETR's own export, D-FINE, and others after suppression: in any order."""
+    """RT-DETR's own export, D-FINE, and others after suppression: in any order. A number of detections is ignored."""
     tables = [i for i, shape in enumerate(trial.shapes) if len(shape) == 3]
-    flat = [i for i, shape in enumerate(trial.shapes) if len(shape) == 2]
-    if len(trial.shapes) != 3 or len(tables) != 1 or len(flat) != 2:
+    counts = [i for i, shape in enumerate(trial.shapes) if len(shape) < 3 and np.prod(shape) == 1]
+    flat = [i for i, shape in enumerate(trial.shapes) if len(shape) == 2 and i not in counts]
+    if len(trial.shapes) - len(counts) != 3 or len(counts) > 1 or len(tables) != 1 or len(flat) != 2:
         return None
     labels = [i for i in flat if _is_label(trial, i)]
     if len(labels) != 1:
@@ -250,6 +251,8 @@ def _check_end_to_end(outputs: Sequence[Values], names: int | None) -> str:
 
 def _check_labelled_boxes(outputs: Sequence[Values], names: int | None) -> str:
     boxes, scores, labels = (values[0] for values in outputs)
+    # Behind the last detection there may be anything.
+    labels = labels[scores > 0.0]
     if not _is_whole(labels):
         return "its classes are no whole numbers"
     if names is not None and labels.max(initial=0) > names - 0.5:

@@ -188,7 +188,13 @@ async def test_pictures_that_cannot_be_read_are_a_state_of_their_own(
 
 
 @pytest.mark.parametrize(
-    "kind", ["Multipart/X-Mixed-Replace; Boundary=frame", 'multipart/mixed;charset=x; boundary="frame"']
+    "kind",
+    [
+        "Multipart/X-Mixed-Replace; Boundary=frame",
+        'multipart/mixed;charset=x; boundary="frame"',
+        "application/octet-stream",
+        "video/x-motion-jpeg",
+    ],
 )
 async def test_a_type_is_read_as_mime_writes_it(server: StreamServer, kind: str) -> None:
     server.content_type = kind

@@ -52,6 +52,8 @@ def test_the_monotonic_clock_is_that_of_this_machine_only() -> None:
         (float("inf"), "inf s ahead of"),
         (1e300, "1e.300 s ahead of"),
         (-7.0, "behind"),
+        (1.7e12, "they are milliseconds, expected seconds"),
+        (1.7e18, "they are nanoseconds, expected seconds"),
     ],
 )
 def test_a_stamp_of_no_clock_is_said(stamp: float, words: str) -> None:

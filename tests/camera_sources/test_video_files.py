@@ -160,8 +160,8 @@ def test_what_is_behind_a_damaged_part_is_shown_and_the_loss_counted(tmp_path: P
 
     from swarmtrack.camera_sources import video as module  # noqa: PLC0415
 
-    opened = module._open_file
-    monkeypatch.setattr(module, "_open_file", lambda *arguments: Damaged(opened(*arguments)))
+    opened = module.open_path
+    monkeypatch.setattr(module, "open_path", lambda *arguments: Damaged(opened(*arguments)))
     pictures = list(video.play())
     assert [picture.image is None for picture in pictures].count(True) == 4
     assert pictures[-1].image is not None

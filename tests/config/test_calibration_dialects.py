@@ -26,6 +26,7 @@ from support.calibrations import (
     XML,
     K,
     kalibr,
+    opencv_matrix,
 )
 from support.places import ROOT, writer
 from swarmtrack.agents.main import main
@@ -212,6 +213,26 @@ def test_what_no_dialect_means_is_refused_with_a_sentence(write, text, old, new,
         load_calibration(path)
     assert str(caught.value).startswith(str(path))
     assert "expected" in str(caught.value)
+
+
+def test_vins_says_where_the_camera_is_on_the_imu(write):
+    turned = "0, 0, 1, 1, 0, 0, 0, 1, 0"
+    text = (
+        VINS
+        + opencv_matrix("extrinsicRotation", 3, 3, turned)
+        + opencv_matrix("extrinsicTranslation", 3, 1, "1, 2, 3")
+    )
+    pose = load_calibration(write(text)).imu_from_camera
+    assert pose.position.tolist() == [1.0, 2.0, 3.0]
+    assert pose.rotation[:, 2].tolist() == [1.0, 0.0, 0.0]
+    with pytest.raises(CalibrationError, match=r"extrinsicRotation: det R = -1\.000, a reflection"):
+        load_calibration(write(text.replace(turned, turned.replace("0, 0, 1,", "0, 0, -1,", 1))))
+
+
+def test_an_empty_list_is_a_lens_without_distortion(write):
+    assert load_calibration(write(re.sub(r"d: \[.*\]", "d: []", INFO))).camera.distortion is None
+    with pytest.raises(CalibrationError, match="missing, expected the coefficients of equidistant"):
+        load_calibration(write(re.sub(r"d: \[.*\]", "d: []", INFO).replace("plumb_bob", "equidistant")))
 
 
 def test_config_check_prints_what_was_made_of_a_file_and_what_is_unlikely_in_a_lens(write, tmp_path, capsys):

@@ -69,6 +69,16 @@ READ = {
     "YOLOv8 with its maps": ("yolo_v8", {"output0": v8(cells(8, 16, 32), 0.93), **FEATURES}, ultralytics("drone")),
     "YOLOv5 of 2021, four outputs": ("yolo_v5", {"output": v5(3 * cells(8, 16, 32), 0.98, 0.01), **MAPS}, {}),
     "D-FINE": ("labelled_boxes", LABELS, {}),
+    "suppressed by TensorRT's plugin": (
+        "labelled_boxes",
+        {
+            "num_dets": np.array([[1]], np.int32),
+            "boxes": rows(100, 4, CORNERS),
+            "scores": rows(100, 1, [0.93])[:, :, 0],
+            "labels": np.array([[0, *[-1] * 99]], np.int32),
+        },
+        ultralytics("drone", "bird"),
+    ),
     "D-FINE, labels as floats": ("labelled_boxes", LABELS | {"labels": np.zeros((1, 300), np.float32)}, {}),
 }  # fmt: skip
 
