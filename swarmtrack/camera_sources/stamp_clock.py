@@ -78,4 +78,5 @@ def _apart(age: float, ours: _OurClock) -> str:
     count = f"{len(ours.ages)} frame{'s' if len(ours.ages) > 1 else ''}"
     youngest = f" by the youngest of {count}" if abs(age) < HTTP_STAMP_WINDOW_S else ""
     found = f"their clock is {abs(age):.3g} s {way} {ours.name}{youngest}"
+    found += ", or the stream is that late" if 0.0 < age < HTTP_STAMP_WINDOW_S else ""
     return f"{found}, expected {1e3 * low:+.0f} to {1e3 * high:+.0f} ms"
