@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import typing
+
 import numpy as np
 import pytest
 
@@ -9,10 +11,13 @@ pytest.importorskip("onnx", reason="makes nets: needs onnx, of the extra dev")
 
 from support.foreign_nets import answering, ultralytics
 from support.mutants import MUTANTS
+from swarmtrack.agents.video import HEADS as HEADS_OF_VIDEO
+from swarmtrack.config.drone import DetectorSection
 from swarmtrack.detection.description import Declared, describe
 from swarmtrack.detection.detector import Detector
+from swarmtrack.detection.heads import READ as READ_BY_HEAD
 from swarmtrack.detection.model import open_session
-from swarmtrack.detection.readings import HEADS, Trial, readings
+from swarmtrack.detection.readings import HEAD_FORMATS, HEADS, Trial, readings
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Frame, StampKind
 
@@ -228,3 +233,10 @@ def test_any_outputs_whatever_are_read_or_refused(count):
             refused.append(str(error))
     assert len(refused) > count // 2
     assert max(map(len, refused)) < 1200
+
+
+def test_each_head_can_be_named_in_a_config_and_on_the_command_line():
+    named = typing.get_args(DetectorSection.model_fields["head"].annotation)
+    assert set(named) == {"auto", *HEADS}
+    assert HEADS_OF_VIDEO == HEADS
+    assert set(READ_BY_HEAD) == set(HEAD_FORMATS) == set(HEADS)
