@@ -29,7 +29,8 @@ def plain(text: str, longest: int = LONGEST_PLAIN_TEXT) -> str:
 
 
 _LOGIN = re.compile(
-    r"\b(?!(?:file|images|v4l2|sim|tlog|ulog):)([a-z][a-z0-9+.-]{0,20}:(?://)?)(?:[^\s\"@]{1,300}+@)+", re.IGNORECASE
+    r"\b(?!(?:file|images|v4l2|sim|tlog|ulog):)([a-z][a-z0-9+.-]{0,20}:(?://)?)(?:[^\s\"@]{1,300}+@)+",
+    re.IGNORECASE,
 )
 _SECRET = re.compile(r"\b(\w{0,60}(?:pass|pwd|psw|loginpas|secret|token)\w{0,20}=)[^\s\"&;]+", re.IGNORECASE)
 

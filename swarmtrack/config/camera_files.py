@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.config.camera_tables import AGAIN, CameraTable, LensNumbers
+from swarmtrack.config.camera_tables import AGAIN, EQUIDISTANT, CameraTable, LensNumbers
 from swarmtrack.config.camera_text import OpencvMatrix, read_table, shown
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
@@ -197,6 +197,8 @@ def _matrix_and_coefficients(
     model = file.text("distortion_model")
     if not model and file.text("fisheye_model") in ("1", "true"):
         model = "fisheye"
+    if not model and file.text("camera_model") in EQUIDISTANT:
+        model = file.text("camera_model")
     found = file.find(coefficients) or coefficients[0]
     said = LensNumbers(
         focal,
@@ -505,15 +507,19 @@ def _flat_file(file: CameraTable, camera: str | None) -> Calibration:
 def _flat(file: CameraTable, name: str) -> Calibration:
     """A number per key, as librealsense's own structure has them, and people who write by hand."""
     cx, cy = file.find(("ppx", "cx", "px")) or "cx", file.find(("ppy", "cy", "py")) or "cy"
-    key = file.find(("coeffs", *COEFFICIENTS)) or "coeffs"
+    in_one = isinstance(file.table.get("distortion"), list)
+    key = file.find(("coeffs", *COEFFICIENTS)) or ("distortion" if in_one else "coeffs")
     numbers = _coefficients(file, key) if file.has(key) else _named(file, BROWN_NAMES)
-    model_key = file.find(("model", "distortion", "distortion_model")) or "distortion_model"
+    model_keys = ("model", "distortion_model") if in_one else ("model", "distortion", "distortion_model")
+    model_key = file.find(model_keys) or "distortion_model"
+    model = file.text(model_key)
     lens, notes = file.camera(
         LensNumbers(
             _pair(file, ("fx", "fy")),
             _pair(file, (cx, cy)),
             _size(file),
-            model=file.text(model_key),
+            projection=file.text("camera_model", "pinhole"),
+            model="" if model == "pinhole" else model,
             coefficients=numbers,
             keys=("fx", "camera_model", model_key, key),
         )

@@ -235,6 +235,30 @@ def test_an_empty_list_is_a_lens_without_distortion(write):
         load_calibration(write(re.sub(r"d: \[.*\]", "d: []", INFO).replace("plumb_bob", "equidistant")))
 
 
+FLAT = "fx: 460.5\nfy: 459.1\ncx: 322.2\ncy: 241.7\nwidth: 640\nheight: 480\n"
+
+
+@pytest.mark.parametrize(
+    ("more", "lens"),
+    [
+        ("", None),
+        ("model: pinhole\n", None),
+        ("k1: -0.29\nk2: 0.08\np1: 0.0001\np2: 0.0002\n", RadTan(RADTAN)),
+        (f"distortion: {list(RADTAN)}\n", RadTan(RADTAN)),
+        (f"distortion_model: equidistant\ndist_coeffs: {list(FISHEYE)}\n", Equidistant(FISHEYE)),
+    ],
+)
+def test_a_file_by_hand_is_read(write, more, lens):
+    assert load_calibration(write(FLAT + more)).camera.distortion == lens
+
+
+def test_a_projection_that_is_named_is_not_passed_over(write):
+    with pytest.raises(CalibrationError, match="camera_model: 'ocam' is not supported"):
+        load_calibration(write(FLAT + "camera_model: ocam\n"))
+    fisheye = re.sub(r"distortion_model.*\nd: .*", f"camera_model: fisheye\nd: {list(FISHEYE)}", INFO)
+    assert load_calibration(write(fisheye)).camera.distortion == Equidistant(FISHEYE)
+
+
 def test_config_check_prints_what_was_made_of_a_file_and_what_is_unlikely_in_a_lens(write, tmp_path, capsys):
     lens = tmp_path / "lens.yaml"
     lens.write_text(CALIBRATIONS["Kalibr eucm"].text, encoding="utf-8")
