@@ -103,7 +103,9 @@ def _seconds_of(video: Path) -> float:
     """How long it is, by its own word; infinite where it says nothing."""
     import cv2
 
-    capture = cv2.VideoCapture(str(video))
+    from swarmtrack.camera_sources.video import open_path
+
+    capture = open_path(video)
     frames, fps = capture.get(cv2.CAP_PROP_FRAME_COUNT), capture.get(cv2.CAP_PROP_FPS)
     capture.release()
     return frames / fps if frames > 0.0 and 0.0 < fps < math.inf else math.inf

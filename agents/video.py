@@ -23,6 +23,7 @@ from swarmtrack.errors import SourceError, ungrouped
 if TYPE_CHECKING:
     from swarmtrack.messages import LinkStatus
 
+HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr", "labelled_boxes")
 FOV_DEG = 70.0  # from left to right: of most webcams and small cameras
 COLUMNS = (
     "t_s", "frame", "id", "u_px", "v_px", "vu_px_s", "vv_px_s", "w_px", "h_px", "status", "probability"
@@ -59,8 +60,35 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="horizontal field of view (default: %(default)g)",
     )
+    parser.add_argument(
+        "--fps",
+        type=positive,
+        metavar="HZ",
+        help="frames per second, for a file without times (default: the file's own times)",
+    )
     add_folder(parser, "--out", "output folder (default: FILE's name, in the current folder)")
     add_file(parser, "--model", "the detector, an ONNX file (default: the shipped one)")
+    parser.add_argument(
+        "--head",
+        choices=HEADS,
+        help="format of that file's outputs, where it can be read in more than one way",
+    )
+    parser.add_argument(
+        "--names",
+        type=_words,
+        metavar="NAME,…",
+        help="all classes of that file in their order, if it has no names",
+    )
+    parser.add_argument(
+        "--classes",
+        type=_words,
+        metavar="NAME,…",
+        help="the classes that are drones (default: those with a drone's name)",
+    )
+
+
+def _words(text: str) -> list[str]:
+    return [word.strip() for word in text.split(",") if word.strip()]
 
 
 def _angle(text: str) -> float:
@@ -74,8 +102,14 @@ def run(args: argparse.Namespace) -> int:
     """Exit codes: 0 done, 1 a part of the file could not be read, 2 wrong usage."""
     from swarmtrack.camera_sources.video import VideoFile
 
-    video = VideoFile(args.file, None)
-    out = args.out if args.out is not None else Path(f"{args.file.stem}-tracked")
+    video = VideoFile(args.file, args.fps)
+    if video.note:
+        print(
+            f"swarmtrack video: {video.note.replace('(fps= sets them)', '(--fps sets them)')}",
+            file=sys.stderr,
+        )
+    stem = os.fsencode(args.file.stem).decode(errors="replace")
+    out = args.out if args.out is not None else Path(f"{stem}-tracked")
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise SourceError(f"--out {out}: already exists, expected an empty folder or a new one")
     try:
@@ -90,7 +124,9 @@ def run(args: argparse.Namespace) -> int:
 def _write_config(args: argparse.Namespace, out: Path, size: tuple[int, int]) -> Path:
     width, height = size
     path = out / "agent.toml"
-    source = f"file://{quote(str(args.file.absolute()))}?pace=fast"
+    source = f"file://{quote(os.fsencode(args.file.absolute()))}?pace=fast"
+    if args.fps is not None:
+        source += f"&fps={args.fps:g}"
     text = CONFIG.format(
         name=path,
         jsonl=json.dumps(str(out.absolute() / "tracks.jsonl")),
@@ -104,6 +140,10 @@ def _write_config(args: argparse.Namespace, out: Path, size: tuple[int, int]) ->
     )
     if args.model is not None:
         text += f"\n[detector]\nmodel = {json.dumps(str(args.model.absolute()))}\n"
+        said = {"head": args.head, "names": args.names, "classes": args.classes}
+        text += "".join(
+            f"{key} = {json.dumps(value, ensure_ascii=False)}\n" for key, value in said.items() if value
+        )
     path.write_text(text, encoding="utf-8")
     return path
 

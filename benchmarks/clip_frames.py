@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import cv2
 import numpy as np
 
+from swarmtrack.camera_sources.video import open_path
 from swarmtrack.detection.detector import Detector
 from swarmtrack.messages import Detections, Frame, StampKind
 from swarmtrack.training.labelled_clips import Clip
@@ -14,7 +14,7 @@ from swarmtrack.training.labelled_clips import Clip
 
 def frames(clip: Clip) -> Iterator[Frame]:
     """As far as they can be decoded."""
-    capture = cv2.VideoCapture(str(clip.video))
+    capture = open_path(clip.video)
     try:
         for number in range(clip.frames):
             decoded, image = capture.read()

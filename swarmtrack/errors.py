@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from swarmtrack.plain_text import plain_lines
+from swarmtrack.plain_text import hide_logins, plain_lines
 
 
 class SwarmtrackError(Exception):
     """Base of all errors whose text is meant for the person at the keyboard, and may quote anything."""
 
     def __str__(self) -> str:
-        return plain_lines(super().__str__())
+        return plain_lines(hide_logins(super().__str__()))
 
 
 class ConfigError(SwarmtrackError):

@@ -7,6 +7,8 @@ before it is shown, logged or sent.
 
 from __future__ import annotations
 
+import re
+
 LONGEST_PLAIN_TEXT = 500
 """Characters of one line."""
 LONGEST_OF_SEVERAL = 2000
@@ -24,6 +26,20 @@ def plain(text: str, longest: int = LONGEST_PLAIN_TEXT) -> str:
     if text.isprintable():
         return text
     return "".join(sign if sign.isprintable() else " " if sign.isspace() else UNPRINTABLE for sign in text)
+
+
+_LOGIN = re.compile(
+    r"\b(?!(?:file|images|v4l2|sim|tlog|ulog):)([a-z][a-z0-9+.-]{0,20}:(?://)?)(?:[^\s\"@]{1,300}+@)+",
+    re.IGNORECASE,
+)
+_SECRET = re.compile(r"\b(\w{0,60}(?:pass|pwd|psw|loginpas|secret|token)\w{0,20}=)[^\s\"&;]+", re.IGNORECASE)
+
+
+def hide_logins(text: str) -> str:
+    """The text with "…" in place of users and passwords in addresses, also in their queries."""
+    if "@" in text:
+        text = _LOGIN.sub(r"\1…@", text)
+    return _SECRET.sub(r"\1…", text) if "=" in text else text
 
 
 def plain_lines(text: str) -> str:

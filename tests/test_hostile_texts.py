@@ -6,9 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from support.calibrations import CALIBRATIONS
 from support.mutants import MUTANTS, mutants
 from support.places import ROOT
-from swarmtrack.config.camera_files import DEEPEST, MOST_ENTRIES, load_calibration
+from swarmtrack.config.camera_files import load_calibration
+from swarmtrack.config.camera_text import DEEPEST, MOST_ENTRIES
 from swarmtrack.config.drone import load_config
 from swarmtrack.config.toml.layers import MAX_SEARCHED, MOST_FILES, MOST_PARTS, key_lines
 from swarmtrack.errors import CalibrationError, ConfigError, SwarmtrackError
@@ -146,6 +148,31 @@ def test_what_is_too_deep_or_too_long_is_said(tmp_path, text, said):
         load_calibration(path)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"a": ' + "[" * 300_000, f"nested more than {DEEPEST} deep"),
+        ('{"a": ' + "[" * 500 + "]" * 500 + "}", f"nested more than {DEEPEST} deep"),
+        ("<a>" * 100_000, f"nested more than {DEEPEST} deep"),
+        ('<!DOCTYPE a [<!ENTITY b "c">]><a>&b;</a>', "a document type"),
+        ("<a>&nothing;</a>", "undefined entity"),
+        ("<a/>", "no keys in it"),
+        (
+            "[image]\nwidth\n640\nheight\n480\n[a]\ncamera matrix\n" + "1 " * 400_000,
+            "400000 numbers, expected 9",
+        ),
+        ('Intrinsic of "' + "a" * 500_000, "expected"),
+    ],
+    ids=["JSON", "closed JSON", "XML", "entities", "undefined", "empty", "ost.txt", "report"],
+)
+def test_what_other_forms_may_hold_is_bounded_too(tmp_path, text, said):
+    path = tmp_path / "camera.txt"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(CalibrationError, match=said) as refused:
+        load_calibration(path)
+    assert len(str(refused.value)) < 600
+
+
 def test_honest_aliases_are_followed(tmp_path):
     path = tmp_path / "camera.yaml"
     path.write_text(
@@ -186,6 +213,15 @@ def test_any_mutation_of_a_config_is_read_or_refused(tmp_path, count):
 @COUNTS
 def test_any_mutation_of_a_calibration_is_read_or_refused(tmp_path, count):
     survive(tmp_path / "camera.yaml", CALIBRATION, count, load_calibration)
+
+
+@COUNTS
+@pytest.mark.parametrize("name", CALIBRATIONS)
+def test_any_mutation_of_any_calibration_is_read_or_refused(tmp_path, count, name):
+    good = CALIBRATIONS[name]
+    survive(
+        tmp_path / "camera", good.text, max(count // 5, 40), lambda path: load_calibration(path, good.camera)
+    )
 
 
 @COUNTS

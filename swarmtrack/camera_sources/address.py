@@ -10,14 +10,16 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import os
+import re
 import typing
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
-from urllib.parse import parse_qsl, quote, unquote, urlencode, urlsplit
+from typing import Any, NamedTuple, TypeVar
+from urllib.parse import parse_qsl, quote, unquote, unquote_to_bytes, urlencode, urlsplit
 
 from swarmtrack.errors import SourceError
+from swarmtrack.plain_text import hide_logins
 
 DETECTS_BY_ITSELF = "detections"
 NETWORK_SCHEMES = ("http", "https", "rtsp", DETECTS_BY_ITSELF)
@@ -25,26 +27,35 @@ NETWORK_SCHEMES = ("http", "https", "rtsp", DETECTS_BY_ITSELF)
 Options = TypeVar("Options")
 
 
+class Login(NamedTuple):
+    """User and password, as they are and not as a URL writes them."""
+
+    user: str
+    password: str
+
+
 @dataclass(frozen=True, slots=True)
 class CameraAddress:
-    """A parsed address. `target`: a path, or for network schemes the whole URL without its query."""
+    """A parsed address. target: a path, or for network schemes the URL without its query and login."""
 
     scheme: str
     target: str
     query: tuple[tuple[str, str], ...]
+    login: Login | None = field(default=None, repr=False)
 
     def __str__(self) -> str:
         """The address for people and logs: passwords hidden."""
         query = "?" + "&".join(f"{key}={value}" for key, value in self.query) if self.query else ""
         if self.scheme not in NETWORK_SCHEMES:
             return f"{self.scheme}://{self.target}{query}"
-        parts = urlsplit(self.target)
-        user, at, host = parts.netloc.rpartition("@")
-        return parts._replace(netloc=user.partition(":")[0] + at + host).geturl() + query
+        shown = hide_logins(self.target + query)
+        return shown if self.login is None else shown.replace("://", f"://{quote(self.login.user)}@", 1)
 
     def path(self, base: Path | None) -> Path:
         """The target as a file; relative paths start at `base`, the folder of the config."""
-        path = os.path.expanduser(unquote(self.target))  # pathlib's raises where there is no such user
+        # A file's name is bytes, which need not be UTF-8.
+        name = os.fsdecode(unquote_to_bytes(self.target))
+        path = os.path.expanduser(name)  # pathlib's raises where there is no such user
         return Path(path) if base is None else base / path
 
 
@@ -63,27 +74,59 @@ def parse_address(source: str) -> CameraAddress:
         )
     scheme = scheme.lower()
     if scheme in NETWORK_SCHEMES:
-        target, _, query = f"{scheme}:{rest}".partition("?")
-        try:
-            parts = urlsplit(target)
-            _ = parts.port  # raises on a port that is no number
-        except ValueError as error:
-            raise SourceError(f"camera source {scheme}: {error}") from None
-        if not parts.hostname:
-            raise SourceError(
-                f'camera source "{scheme}:{rest}": no host, expected {scheme}://HOST[:PORT]/PATH'
-            )
-        try:
-            parts.hostname.encode("idna")
-        except UnicodeError:
-            raise SourceError(
-                f'camera source {scheme}: found host "{parts.hostname}", expected a name or an IP address'
-            ) from None
-    else:
-        target, _, query = rest.removeprefix("//").partition("?")
-        if not target:
-            raise SourceError(f'camera source "{source}": nothing after {scheme}://')
+        return _network_address(scheme, rest)
+    target, _, query = rest.removeprefix("//").partition("?")
+    if not target:
+        raise SourceError(f'camera source "{source}": nothing after {scheme}://')
     return CameraAddress(scheme, target, tuple(parse_qsl(query, keep_blank_values=True)))
+
+
+def _network_address(scheme: str, rest: str) -> CameraAddress:
+    """scheme://[USER:PASSWORD@]HOST[:PORT][/PATH][?QUERY]. No error repeats what may be a part of a password."""
+    if not rest.startswith("//"):
+        raise SourceError(f"camera source {scheme}: expected {scheme}://HOST[:PORT]/PATH")
+    if re.search(r"\s", rest):
+        raise SourceError(f"camera source {scheme}: found a space, expected %20 in its place")
+    found = re.match(r"//([^/?#]*)(.*)", rest)
+    assert found is not None
+    login, at, host = found[1].rpartition("@")
+    path, _, query = found[2].partition("?")
+    # Of a password that holds one of these signs, a part would be taken for the host's port, the path or the query.
+    if "@" in path or (not path and "@" in query) or "#" in found[2]:
+        raise SourceError(
+            f'camera source {scheme}: found "#" or "@" behind the host, where neither belongs: write # in a password '
+            "as %23, / as %2F, ? as %3F and @ as %40 (the same in a path)"
+        )
+    user, _, password = login.partition(":")
+    try:
+        parts = urlsplit(f"{scheme}://{host}{path}")
+    except ValueError as error:
+        raise SourceError(f"camera source {scheme}: {error}, expected {scheme}://HOST[:PORT]/PATH") from None
+    try:
+        _ = parts.port  # raises on a port that is no number
+    except ValueError:
+        raise SourceError(
+            f"camera source {scheme}: found a port that is no number from 0 to 65535, expected "
+            f"{scheme}://[USER:PASSWORD@]HOST[:PORT]/PATH"
+        ) from None
+    if not parts.hostname:
+        raise SourceError(f"camera source {scheme}: no host, expected {scheme}://HOST[:PORT]/PATH")
+    try:
+        parts.hostname.encode("idna")
+    except UnicodeError:
+        raise SourceError(
+            f'camera source {scheme}: found host "{parts.hostname}", expected a name or an IP address'
+        ) from None
+    if ":" in unquote(user):
+        raise SourceError(
+            f'camera source {scheme}: found ":" in the user, expected it only before the password'
+        )
+    return CameraAddress(
+        scheme,
+        f"{scheme}://{host}{path}",
+        tuple(parse_qsl(query, keep_blank_values=True)),
+        Login(unquote(user), unquote(password)) if at else None,
+    )
 
 
 def read_options(address: CameraAddress, kind: type[Options]) -> Options:
@@ -112,10 +155,17 @@ def read_options(address: CameraAddress, kind: type[Options]) -> Options:
 
 
 def server_url(address: CameraAddress, kind: type[Any]) -> str:
-    """URL of the request to the server: the address without our own options."""
+    """URL of the request to the server: the address without our own options, and without the login."""
     ours = {field.name for field in dataclasses.fields(kind)}
     query = urlencode([(key, value) for key, value in address.query if key not in ours])
     return address.target + (f"?{query}" if query else "")
+
+
+def with_login(url: str, login: Login | None) -> str:
+    """The URL with the login in it, for a client that takes it from there."""
+    if login is None:
+        return url
+    return url.replace("://", f"://{quote(login.user, safe='')}:{quote(login.password, safe='')}@", 1)
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
@@ -155,4 +205,4 @@ def in_range(name: str, value: float | None, low: float, high: float, unit: str 
 
 
 def _as_file(source: str) -> str:
-    return f"file://{quote(source)}" if source else "file://clip.mp4"
+    return f"file://{quote(source)}" if source and "@" not in source else "file://clip.mp4"

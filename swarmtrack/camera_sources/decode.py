@@ -1,32 +1,86 @@
-"""Decoders of camera bytes: YUYV, GREY and JPEG."""
+"""Decoders of camera bytes: uncompressed formats and JPEG."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from swarmtrack.camera_sources.frame_slot import BadImage
 from swarmtrack.camera_sources.limits import MAX_DECODED_PIXELS
+from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.messages import Image
 
-# "As the sensor saw it": grey stays grey, 16 bits become 8, and the EXIF orientation, which would turn the image
-# under its calibration, is ignored.
+# "As the sensor saw it": grey stays grey, and the EXIF orientation is ignored, which would turn the image under its
+# calibration.
 READ_FLAGS = cv2.IMREAD_ANYCOLOR | cv2.IMREAD_IGNORE_ORIENTATION
 
 
-def decode_grey(data: memoryview, width: int, height: int, stride: int) -> Image:
-    """8-bit grey, `stride` bytes per line. Returns a copy (height, width)."""
-    return np.array(_lines(data, width, height, stride))
+JPEG_PADDING = b"\0\r\n "
+"""In front of an image, where a server separates it from its header by more than one line."""
 
 
-def decode_yuyv(data: memoryview, width: int, height: int, stride: int, grey: bool) -> Image:
-    """YUYV 4:2:2, two pixels in four bytes. Returns (height, width, 3) BGR, or only the luma (height, width)."""
-    if width % 2:
-        raise BadImage(f"{width} pixels a line, expected an even number: YUYV comes in pairs")
-    pixels = _lines(data, 2 * width, height, stride).reshape(height, width, 2)
+class RawImage(NamedTuple):
+    """Form of an uncompressed image. fourcc: one of `RAW_FORMATS`; stride: bytes per line, 0 for no padding."""
+
+    fourcc: str
+    width: int
+    height: int
+    stride: int = 0
+
+
+def decode_raw(data: memoryview, form: RawImage, *, grey: bool, stretch: Stretch) -> Image:
+    """Returns a copy, (height, width, 3) BGR, or (height, width) if it is grey or `grey` is asked. stretch: 16 bits."""
+    fourcc, width, height, stride = form
+    layout = RAW_FORMATS[fourcc]
+    if layout.paired and (width % 2 or (layout.planes > 1 and height % 2)):
+        raise BadImage(f"{width}x{height}, expected even numbers: {fourcc} comes in pairs")
+    used = layout.bytes_per_pixel * width
+    rows = height * layout.planes // 2 if layout.planes > 1 else height
+    lines = _lines(data, used, rows, stride or used)
+    if fourcc == "Y16":
+        return stretch(np.ascontiguousarray(lines).view("<u2"))
+    if fourcc == "GREY":
+        return np.array(lines)
+    if layout.planes > 1:
+        if grey:
+            return np.array(lines[:height])
+        return np.asarray(cv2.cvtColor(np.ascontiguousarray(lines), layout.to_bgr), np.uint8)
+    pixels = lines.reshape(height, width, layout.bytes_per_pixel)
+    if layout.luma is None:
+        image = np.array(pixels) if layout.to_bgr < 0 else cv2.cvtColor(pixels, layout.to_bgr)
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if grey else image, np.uint8)
     if grey:
-        return np.array(pixels[:, :, 0])
-    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_YUV2BGR_YUYV), np.uint8)
+        return np.array(pixels[:, :, layout.luma])
+    return np.asarray(cv2.cvtColor(pixels, layout.to_bgr), np.uint8)
+
+
+class RawLayout(NamedTuple):
+    """Layout of an uncompressed format. bytes_per_pixel: of the first plane; to_bgr: OpenCV's conversion, -1 for none;
+    luma: which byte of a pixel is its luma, None where none is; paired: two pixels share a colour; planes: 3 halves
+    where the colour stands in planes below.
+    """
+
+    bytes_per_pixel: int
+    to_bgr: int = -1
+    luma: int | None = None
+    paired: bool = False
+    planes: int = 1
+
+
+RAW_FORMATS = {
+    "GREY": RawLayout(1),
+    "YUYV": RawLayout(2, cv2.COLOR_YUV2BGR_YUYV, 0, paired=True),
+    "UYVY": RawLayout(2, cv2.COLOR_YUV2BGR_UYVY, 1, paired=True),
+    "YVYU": RawLayout(2, cv2.COLOR_YUV2BGR_YVYU, 0, paired=True),
+    "NV12": RawLayout(1, cv2.COLOR_YUV2BGR_NV12, paired=True, planes=3),
+    "NV21": RawLayout(1, cv2.COLOR_YUV2BGR_NV21, paired=True, planes=3),
+    "BGR3": RawLayout(3),
+    "RGB3": RawLayout(3, cv2.COLOR_RGB2BGR),
+    "Y16": RawLayout(2),
+}
+"""By V4L2's names."""
 
 
 def _lines(data: memoryview, used: int, height: int, stride: int) -> Image:
@@ -40,10 +94,11 @@ def _lines(data: memoryview, used: int, height: int, stride: int) -> Image:
 
 def decode_jpeg(data: bytes | memoryview, grey: bool = False) -> Image:
     """A whole baseline or progressive JPEG. Returns (h, w, 3) BGR, or (h, w) if it is grey or `grey` is asked."""
-    data = bytes(data)
+    data = bytes(data).lstrip(JPEG_PADDING)
     check_pixels(data)
-    # libjpeg fills what is missing with grey and OpenCV does not tell, so the end is looked for. Drivers pad behind it.
-    if b"\xff\xd9" not in data[-1024:] and not data.rstrip(b"\0").endswith(b"\xff\xd9"):
+    # libjpeg fills what is missing with grey and OpenCV does not tell, so the end is looked for: behind the last scan's
+    # start, since a thumbnail has an end of its own. What comes after it is padding, of any kind and length.
+    if data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda"):
         raise BadImage("JPEG is cut short")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_GRAYSCALE if grey else READ_FLAGS)
@@ -64,6 +119,7 @@ def check_pixels(data: bytes) -> tuple[int, int]:
 
 def jpeg_size(data: bytes) -> tuple[int, int]:
     """(width, height) from the frame header, without decoding. ITU-T T.81, annex B."""
+    data = data.lstrip(JPEG_PADDING)
     if data[:2] != b"\xff\xd8":
         raise BadImage(f"not a JPEG: starts with {data[:4].hex(' ') or 'nothing'}")
     at = 2

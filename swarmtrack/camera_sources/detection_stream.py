@@ -69,7 +69,7 @@ class DetectionStream:
         url = server_url(address, StreamOptions).replace(f"{address.scheme}:", "http:", 1)
         self._clock = clock
         self._slot: NewestSlot[TimedDetections] = NewestSlot(str(address), clock)
-        self._stream = HttpStream(url, options, clock, self._slot)
+        self._stream = HttpStream(url, options, clock, self._slot, address.login)
         self._last_sequence: int | None = None
 
     async def detections(self) -> AsyncIterator[Detections]:
@@ -100,8 +100,7 @@ class DetectionStream:
         try:
             sent = parse_line(line)
         except BadLine as error:
-            self._slot.source.counts.corrupt += 1
-            self._slot.source.refuse(f"line not understood: {error}")
+            self._slot.source.damaged(str(error), "lines come, but none is understood")
             return
         self._stream.received += 1
         sequence = self._stream.received if sent.sequence is None else sent.sequence

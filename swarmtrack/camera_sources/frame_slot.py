@@ -66,7 +66,7 @@ class FrameSlot(NewestSlot[RawFrame]):
             try:
                 image = await asyncio.to_thread(self._develop, raw)
             except BadImage as error:
-                self.source.counts.corrupt += 1
+                self.source.damaged(str(error))
                 log.debug("camera %s: frame %d dropped: %s", self.source.name, raw.sequence, error)
                 continue
             except WrongSize as error:

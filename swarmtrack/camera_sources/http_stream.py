@@ -1,37 +1,39 @@
 """Endless HTTP stream from a camera that may come and go: opened, reopened, and stamped.
 
 A stream rarely states when its images were exposed. If it does, in seconds as a decimal number, that is taken as the
-time of exposure: on our monotonic clock if it lies within two seconds of it (a sender on the same machine), else as
-UTC of a sender whose clock is synchronised with ours. A stamp that fits neither, or lies in the future, is counted as
-`bad_stamps` and the time of arrival is used instead, with `latency_ms` taken off and `sigma_ms` as its uncertainty.
+time of exposure: on our monotonic clock (a sender on the same machine) or in UTC of a sender whose clock is
+synchronised with ours. `stamp_clock` judges which. A stamp that is on neither is counted as `bad_stamps` and the time
+of arrival is used instead, with `latency_ms` taken off and `sigma_ms` as its uncertainty; the status says by how much
+the clocks differ.
 """
 
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from swarmtrack.camera_sources.address import in_range
-from swarmtrack.camera_sources.limits import (
-    CAMERA_FIRST_BACKOFF_S,
-    CAMERA_LONGEST_BACKOFF_S,
-    HTTP_MONOTONIC_SIGMA_S,
-    HTTP_STAMP_FUTURE_S,
-    HTTP_STAMP_WINDOW_S,
-    HTTP_UTC_SIGMA_S,
-)
+from swarmtrack.camera_sources.address import Login, in_range
+from swarmtrack.camera_sources.limits import CAMERA_FIRST_BACKOFF_S, CAMERA_LONGEST_BACKOFF_S
 from swarmtrack.camera_sources.newest_slot import NewestSlot, start, stop
+from swarmtrack.camera_sources.stamp_clock import StampClock
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus, StampKind
 
 if TYPE_CHECKING:
     import aiohttp
 
-HINTS = {401: ": give user and password, http://USER:PASSWORD@HOST/…", 404: ": check the path"}
+log = logging.getLogger(__name__)
+
+HINTS = {
+    401: ": give user and password, http://USER:PASSWORD@HOST/…",
+    403: ": check user, password and their rights",
+    404: ": check the path",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,13 +75,17 @@ class Exposure(NamedTuple):
 class HttpStream:
     """received: images (or lines, or other items) since the start; bad_stamps: of these, see above."""
 
-    def __init__(self, url: str, options: StreamOptions, clock: Clock, slot: NewestSlot[Any]) -> None:
+    def __init__(
+        self, url: str, options: StreamOptions, clock: Clock, slot: NewestSlot[Any], login: Login | None
+    ) -> None:
         self.received = 0
         self.bad_stamps = 0
         self._url = url
         self._options = options
         self._clock = clock
         self._slot = slot
+        self._login = login
+        self._stamps = StampClock(clock, same_machine=False)
         self._task: asyncio.Task[None] | None = None
 
     def start(self, read: Read) -> None:
@@ -91,7 +97,12 @@ class HttpStream:
 
     def status(self) -> LinkStatus:
         status = self._slot.source.status()
-        return replace(status, counters=(*status.counters, ("bad_stamps", self.bad_stamps)))
+        text = (
+            f"{status.text}; stamps are not used: {self._stamps.problem}"
+            if self._stamps.problem
+            else status.text
+        )
+        return replace(status, text=text, counters=(*status.counters, ("bad_stamps", self.bad_stamps)))
 
     async def _run(self, read: Read) -> None:
         """Connect, read, say why it broke, and again; until cancelled."""
@@ -102,15 +113,27 @@ class HttpStream:
         timeout = aiohttp.ClientTimeout(
             total=None, sock_connect=self._options.timeout_s, sock_read=self._options.timeout_s
         )
-        async with aiohttp.ClientSession(timeout=timeout, read_bufsize=1 << 20) as session:
+        login = None
+        if self._login is not None:
+            from swarmtrack.camera_sources.http_login import LoginMiddleware  # noqa: PLC0415
+
+            login = LoginMiddleware(self._login)
+        middlewares = () if login is None else (login,)
+        async with aiohttp.ClientSession(
+            timeout=timeout, read_bufsize=1 << 20, middlewares=middlewares
+        ) as session:
             while True:
                 received = self.received
                 try:
                     async with session.get(self._url) as response:
                         if response.status != 200:
                             hint = HINTS.get(response.status, "")
+                            if response.status == 401 and login is not None:
+                                asked = ", ".join(login.schemes) or "no known scheme"
+                                hint = f": user or password is not accepted (asked for: {asked})"
                             raise StreamEnded(f"HTTP {response.status} {response.reason}{hint}")
                         self._slot.source.counts.reconnects += received > 0
+                        self._stamps = StampClock(self._clock, same_machine=_from_here(response))
                         await read(response)
                     reason = "the server ended the stream"
                 except StreamEnded as ended:
@@ -122,6 +145,8 @@ class HttpStream:
                     reason = f"cannot connect to {error.host} port {error.port}: {why}"
                 except aiohttp.ClientError as error:
                     reason = f"lost: {error}"
+                except ValueError as error:  # of a server's challenge or redirect
+                    reason = f"lost: the answer cannot be understood ({error})"
                 self._slot.source.report(False, f"{reason}; trying again")
                 if self.received > received:
                     backoff = CAMERA_FIRST_BACKOFF_S
@@ -133,11 +158,22 @@ class HttpStream:
         clock.
         """
         if stamp is not None:
-            now = self._clock.now()
-            for clock_now, sigma in ((now, HTTP_MONOTONIC_SIGMA_S), (self._clock.utc(), HTTP_UTC_SIGMA_S)):
-                t = now + stamp - clock_now
-                if abs(t - now) < HTTP_STAMP_WINDOW_S and t < arrived + HTTP_STAMP_FUTURE_S:
-                    return Exposure(StampKind.EXPOSURE, t, sigma)
+            known = not self._stamps.problem
+            if (found := self._stamps.exposure(stamp, arrived)) is not None:
+                return Exposure(StampKind.EXPOSURE, *found)
             self.bad_stamps += 1
+            if known:
+                log.warning(
+                    "camera %s: stamps are not used: %s", self._slot.source.name, self._stamps.problem
+                )
         options = self._options
         return Exposure(StampKind.ARRIVAL, arrived - 1e-3 * options.latency_ms, 1e-3 * options.sigma_ms)
+
+
+def _from_here(response: aiohttp.ClientResponse) -> bool:
+    """Whether the server runs on this machine: both ends of the connection have one address."""
+    transport = None if response.connection is None else response.connection.transport
+    if transport is None:
+        return False
+    ours, theirs = (transport.get_extra_info(end) for end in ("sockname", "peername"))
+    return bool(ours and theirs and ours[0] == theirs[0])

@@ -9,16 +9,18 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.camera_sources.address import CameraAddress, in_range, nearest, read_options
 from swarmtrack.camera_sources.decode import READ_FLAGS
 from swarmtrack.camera_sources.playback import PACES, Picture, PlaybackCamera, play
+from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import Image
 
 IMAGE_SUFFIXES = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".ppm", ".tif", ".tiff", ".webp")
 
@@ -39,7 +41,7 @@ class ImagesOptions:
 
 
 class ImageFolder:
-    """Images and their times. `size`: (width, height) px of the first readable one."""
+    """Images and their times. `size`: (width, height) px of the first readable one; note: what is done to them."""
 
     def __init__(self, folder: Path, options: ImagesOptions) -> None:
         """Raises SourceError if there is nothing to play."""
@@ -62,23 +64,26 @@ class ImageFolder:
         if first is None:
             raise SourceError(f"image folder {folder}: none of its {len(self._index)} images can be read")
         self.size = (first.shape[1], first.shape[0])
+        bits = 8 * first.dtype.itemsize
+        self.note = f"{bits} bits per pixel are stretched to 8" if bits > 8 else ""
 
     def play(self) -> Iterator[Picture]:
+        stretch = Stretch()
         for sequence, (t, path) in enumerate(self._index):
-            yield Picture(t, sequence, read_image(path))
+            image = read_image(path)
+            yield Picture(t, sequence, None if image is None else stretch(image))
 
     def ending(self, pictures: int) -> tuple[bool, str]:
         return True, f"ended after {pictures} images"
 
 
-def read_image(path: Path) -> Image | None:
-    """The image with its stored channels; None if it is missing, damaged or not an image."""
+def read_image(path: Path) -> NDArray[Any] | None:
+    """The image with its stored channels and depth; None if it is missing, damaged or not an image."""
     try:
         data = np.fromfile(path, np.uint8)
-        image = cv2.imdecode(data, READ_FLAGS) if data.size else None
+        return cv2.imdecode(data, READ_FLAGS | cv2.IMREAD_ANYDEPTH) if data.size else None
     except (OSError, cv2.error):
         return None
-    return None if image is None else np.asarray(image, np.uint8)
 
 
 def matching(folder: Path, pattern: str) -> list[Path]:

@@ -14,12 +14,18 @@ MAX_DECODED_PIXELS = 1 << 25
 # Streams over HTTP and RTSP (`http_stream`, `multipart`, `rtsp`): a stamp further from a clock is not of that clock,
 # and no tracker reaches back so far.
 HTTP_STAMP_WINDOW_S = 2.0
-# A stamp this much after the arrival shows that the two clocks disagree.
-HTTP_STAMP_FUTURE_S = 0.005
+# Least age of a frame at its arrival, over the last STAMPS_COMPARED: a smaller one shows that the two clocks disagree,
+# and with a larger one no frame would be used (camera.max_age_s), whether by latency or by the clocks.
+HTTP_LEAST_AGE_S = (-0.005, 0.5)
+STAMPS_COMPARED = 20
 HTTP_MONOTONIC_SIGMA_S = 1e-3
 # Two machines synchronised over a radio link.
 HTTP_UTC_SIGMA_S = 5e-3
 MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 16 << 20, 16 << 10
+# Dashes around a boundary: as many as the longest boundary has signs (RFC 2046).
+MOST_BOUNDARY_DASHES = 70
+# A shorter boundary occurs in images by chance, and is looked for with its dashes only.
+SHORT_BOUNDARY = 6
 RTSP_PORT = 554
 
 # Cameras that detect by themselves (`detection_stream`); of one frame, the best are kept, as many as our own detector
@@ -42,3 +48,11 @@ DEFAULT_FRAME_PERIOD_S = 1 / 30
 DEFAULT_VIDEO_HZ = 30.0
 # Between two frames; more is a damaged time, for which nobody wants to wait.
 LONGEST_VIDEO_PAUSE_S = 10.0
+# More are nonsense of a header.
+MOST_VIDEO_FRAMES = 1e8
+# In a row until the end is believed: behind a damaged part there may be more.
+MOST_FAILED_READS = 16
+# Between the last frame and the end that the header announces.
+END_SLACK_PERIODS = 1.5
+# From this many bits per pixel on, 8 are not enough to show what a scene holds.
+DEEP_BITS = 12

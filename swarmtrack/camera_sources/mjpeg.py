@@ -7,19 +7,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import AsyncIterator
+from email.message import Message
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmtrack.camera_sources.address import CameraAddress, read_options, server_url
-from swarmtrack.camera_sources.decode import check_pixels, decode_jpeg
+from swarmtrack.camera_sources.decode import JPEG_PADDING, check_pixels, decode_jpeg
 from swarmtrack.camera_sources.frame_slot import FrameSlot, Freshness, RawFrame
 from swarmtrack.camera_sources.http_stream import HttpStream, NetworkOptions, StreamEnded
-from swarmtrack.camera_sources.multipart import MultipartReader, Part
+from swarmtrack.camera_sources.multipart import JPEG_START, MultipartReader, Part
 from swarmtrack.clock import Clock
 from swarmtrack.messages import Frame, LinkStatus, StampKind
 
 if TYPE_CHECKING:
     import aiohttp
+
+
+UNNAMED_STREAMS = ("application/octet-stream", "video/x-motion-jpeg", "video/x-mjpeg", "video/mjpeg")
 
 
 class MjpegCamera:
@@ -32,7 +36,9 @@ class MjpegCamera:
         options = read_options(address, NetworkOptions)
         self._clock = clock
         self._slot = FrameSlot(str(address), clock, size, options.resize)
-        self._stream = HttpStream(server_url(address, NetworkOptions), options, clock, self._slot)
+        url = server_url(address, NetworkOptions)
+        self._stream = HttpStream(url, options, clock, self._slot, address.login)
+        self._patience = options.timeout_s
         self._freshness = Freshness(period=1 / 30, depth=30)  # a second in the sockets' buffers
 
     def frames(self) -> AsyncIterator[Frame]:
@@ -51,12 +57,16 @@ class MjpegCamera:
     async def _read(self, response: aiohttp.ClientResponse) -> None:
         """Feed the slot until the stream breaks."""
         reader = MultipartReader(_boundary(response))
-        oversized = 0
+        oversized, since = 0, self._clock.now()
         async for data in response.content.iter_any():
-            for part in reader.feed(data, self._clock.now()):
+            now = self._clock.now()
+            for part in reader.feed(data, now):
                 self._receive(part)
+                since = now
             self._slot.source.counts.corrupt += reader.oversized - oversized
             oversized = reader.oversized
+            if now - since > self._patience:
+                self._slot.source.report(False, f"bytes come, but no picture: {reader.missing()}")
             if reader.ended:
                 break
 
@@ -64,6 +74,10 @@ class MjpegCamera:
         if not part.body:
             return
         self._slot.source.report(True, "streaming")
+        kind = part.headers.get("content-type", "image/jpeg").partition(";")[0].strip().lower()
+        if not part.body.lstrip(JPEG_PADDING).startswith(JPEG_START) and not kind.startswith("image/"):
+            self._slot.source.damaged(f"a part of the stream is {kind}, expected image/jpeg")
+            return
         self._stream.received += 1
         sequence = self._stream.received
         text = part.headers.get("x-timestamp")
@@ -91,12 +105,16 @@ def _number(text: str) -> float:
 
 
 def _boundary(response: aiohttp.ClientResponse) -> str:
-    """The boundary of a stream, or StreamEnded with what it is instead."""
-    if response.content_type != "multipart/x-mixed-replace":
+    """The boundary of a stream, empty where it announces none, or StreamEnded with what it is instead."""
+    kind = response.content_type
+    if kind.startswith("image/"):
         raise StreamEnded(
-            f"is {response.content_type}, expected a stream of JPEGs, multipart/x-mixed-replace"
+            f"is {kind}, a single picture, expected a stream of JPEGs: look in the camera's manual for the path of "
+            "its MJPEG stream"
         )
-    found = response.headers.get("Content-Type", "").partition("boundary=")[2].partition(";")[0]
-    if not found.strip(' "-'):
-        raise StreamEnded("announces no boundary between its images")
-    return found
+    # Some servers name the stream after what it holds, or not at all.
+    if not kind.startswith("multipart/") and kind not in UNNAMED_STREAMS:
+        raise StreamEnded(f"is {kind}, expected a stream of JPEGs, multipart/x-mixed-replace")
+    header = Message()
+    header["Content-Type"] = response.headers.get("Content-Type", "")
+    return header.get_boundary("") or ""

@@ -1,16 +1,27 @@
 """Parser of HTTP `multipart/x-mixed-replace` streams. No I/O: bytes and times in, parts out.
 
-Real servers announce boundaries with and without the two dashes, send bare line feeds, no Content-Length or a wrong
-one, and may be joined in the middle of a part.
+Real servers announce boundaries with any number of dashes around them and send another, or announce none, send bare
+line feeds, no Content-Length or a wrong one, and may be joined in the middle of a part. So what is looked for is the
+boundary without its dashes; and where it does not come, the line that stands in front of an image's header.
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
-from swarmtrack.camera_sources.limits import MAX_PART_BYTES, MAX_PART_HEADER_BYTES
+from swarmtrack.camera_sources.limits import (
+    MAX_PART_BYTES,
+    MAX_PART_HEADER_BYTES,
+    MOST_BOUNDARY_DASHES,
+    SHORT_BOUNDARY,
+)
 
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
+_DELIMITER_LINE = re.compile(
+    rb"(?:\A|\n)(-{0,8}[!-~][ -~]{0,70})\r?\n(?:[A-Za-z-]{1,40}:[^\r\n]{0,200}\r?\n){0,8}?Content-Type:[ \t]*image/",
+    re.IGNORECASE,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,13 +37,15 @@ class MultipartReader:
     """garbage: bytes outside of all parts; oversized: parts beyond MAX_PART_BYTES, dropped."""
 
     def __init__(self, boundary: str) -> None:
-        # Many cameras announce "--name" and send "--name", where the standard says "----name": look for either.
-        self._delimiter = b"--" + boundary.strip().strip('"').lstrip("-").encode("latin-1", "replace")
+        """boundary: as announced, empty for none."""
+        said = boundary.strip().strip('"')
+        self._set_boundary(said.encode("latin-1", "replace"))
         self._buffer = bytearray()
         self._old = 0  # bytes of the buffer that came before the present feed
         self._now = self._before = 0.0  # times of this feed and of the one before it
         self._headers: dict[str, str] | None = None  # of the part whose body is being read
         self._searched = 0  # bytes of the body that hold no delimiter
+        self._has_parts = False
         self.garbage = 0
         self.oversized = 0
         self.ended = False  # the closing delimiter was seen
@@ -53,22 +66,67 @@ class MultipartReader:
                 break
         return parts
 
+    def missing(self) -> str:
+        """What would have to come for a picture, where none does."""
+        if self._headers is not None:
+            return f"a part of {len(self._buffer)} bytes so far has no end"
+        name = self._core.decode("latin-1")
+        return f'no line holds the boundary "{name}"' if name else "no line is a boundary between images"
+
+    def _set_boundary(self, boundary: bytes) -> None:
+        self._core = boundary.strip(b"-")
+        # Of such a boundary, the two dashes that end a stream cannot be told from its own.
+        self._may_end = not boundary.endswith(b"-")
+        self._dashes = 2 if len(self._core) < SHORT_BOUNDARY else 0
+
+    def _find(self, start: int, *, in_line: bool = False) -> tuple[int, int]:
+        """(first, behind last) byte of the next delimiter, with its dashes in front; (-1, -1) where there is none.
+
+        in_line: at the beginning of a line only.
+        """
+        while self._core:
+            core = self._buffer.find(self._core, start)
+            if core < 0:
+                break
+            before = bytes(self._buffer[max(0, core - MOST_BOUNDARY_DASHES) : core])
+            at = core - (len(before) - len(before.rstrip(b"-")))
+            if core - at >= self._dashes and (not in_line or self._buffer[max(at - 1, 0) : at] == b"\n"):
+                return at, core + len(self._core)
+            start = core + 1
+        return -1, -1
+
+    def _learn(self) -> bool:
+        """Take the line in front of an image's header as the delimiter, whatever was announced."""
+        found = None if self._has_parts else _DELIMITER_LINE.search(self._buffer)
+        if found is None:
+            return False
+        dashes, core = len(found[1]) - len(found[1].lstrip(b"-")), found[1].strip(b"-")
+        if not core or (core == self._core and dashes >= self._dashes):
+            return False
+        self._set_boundary(found[1])
+        self._dashes = min(self._dashes, dashes)
+        return True
+
     def _drop(self, count: int) -> None:
         del self._buffer[:count]
         self._old = max(0, self._old - count)
 
     def _read_header(self) -> bool:
         """Find the next delimiter and the headers behind it; False: more bytes are needed."""
-        at = self._buffer.find(self._delimiter)
+        at, start = self._find(0)
         if at < 0:
-            at = max(0, len(self._buffer) - len(self._delimiter) + 1)  # it may have come in part
+            if self._learn():
+                return True
+            # It may have come in part.
+            kept = MAX_PART_HEADER_BYTES if not self._has_parts else len(self._core) + MOST_BOUNDARY_DASHES
+            at = max(0, len(self._buffer) - kept)
             self.garbage += len(self._buffer[:at].strip())
             self._drop(at)
             return False
         self.garbage += len(self._buffer[:at].strip())
         self._drop(at)
-        start = len(self._delimiter)
-        if self._buffer[start : start + 2] == b"--":
+        start -= at
+        if self._buffer[start : start + 2] == b"--" and self._may_end:
             self.ended = True
             return False
         ends = [
@@ -77,7 +135,8 @@ class MultipartReader:
             if (found := self._buffer.find(blank, start)) >= 0
         ]
         end, blank_length = min(ends, default=(len(self._buffer), 0))
-        again = self._buffer.find(self._delimiter, start, end)
+        again = self._find(start, in_line=True)[0]
+        again = again if again < end else -1
         if again >= 0 or (
             not ends and end > MAX_PART_HEADER_BYTES
         ):  # cut off inside a header, or none at all
@@ -91,6 +150,7 @@ class MultipartReader:
         pairs = (line.partition(":") for line in lines if ":" in line)
         self._headers = {name.strip().lower(): value.strip() for name, _, value in pairs}
         self._searched = 0
+        self._has_parts = True
         self._drop(end + blank_length)
         return True
 
@@ -98,8 +158,9 @@ class MultipartReader:
         """The part if it is complete. A part that is thrown away leaves `_headers` None."""
         text = headers.get("content-length", "")
         length = int(text) if text.isascii() and text.isdigit() and len(text) < 16 else 0
-        # With the line feed before it: a short boundary alone does occur by chance in a JPEG.
-        cut = self._buffer.find(b"\n" + self._delimiter, max(0, self._searched - len(self._delimiter)))
+        # At the beginning of a line: a short boundary alone does occur by chance in a JPEG.
+        at, _ = self._find(max(0, self._searched - len(self._core) - MOST_BOUNDARY_DASHES), in_line=True)
+        cut = at - 1 if at > 0 else -1
         self._searched = len(self._buffer)
         if length > MAX_PART_BYTES:
             pass

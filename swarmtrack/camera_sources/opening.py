@@ -36,7 +36,8 @@ def open_camera(
     address = parse_address(source)
     if address.scheme not in CAMERA_SOURCES:
         known = [*CAMERA_SOURCES, DETECTS_BY_ITSELF]
+        # The rest may be a login: of a scheme that is not ours, nobody knows.
         raise SourceError(
-            f'camera source {address}: unknown scheme "{address.scheme}"{nearest(address.scheme, known)}'
+            f'camera source {address.scheme}: unknown scheme "{address.scheme}"{nearest(address.scheme, known)}'
         )
     return CAMERA_SOURCES[address.scheme](address, clock=clock, size=size, base=base)

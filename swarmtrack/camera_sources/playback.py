@@ -36,6 +36,7 @@ class Playable(Protocol):
     """A playable recording. `play` reads from the start, in one thread, and closes its files when it is left."""
 
     period: float  # s between pictures, for the pause between two loops
+    note: str  # what a user should know of how it is played, or empty
 
     @property
     def size(self) -> tuple[int, int]:
@@ -74,7 +75,8 @@ class PlaybackCamera(ThreadCamera):
 
     def frames(self) -> AsyncIterator[Frame]:
         if self._thread is None and not self._stop.is_set():
-            self._slot.source.report(True, "playing")
+            note = self._recording.note
+            self._slot.source.report(True, f"playing; {note}" if note else "playing")
             self._start = self._clock.now()
         return super().frames()
 

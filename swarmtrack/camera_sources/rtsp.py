@@ -17,7 +17,7 @@ from urllib.parse import urlsplit
 import cv2
 import numpy as np
 
-from swarmtrack.camera_sources.address import CameraAddress, read_options, server_url
+from swarmtrack.camera_sources.address import CameraAddress, read_options, server_url, with_login
 from swarmtrack.camera_sources.frame_slot import FrameSlot, RawFrame, already
 from swarmtrack.camera_sources.http_stream import NetworkOptions
 from swarmtrack.camera_sources.limits import CAMERA_FIRST_BACKOFF_S, CAMERA_LONGEST_BACKOFF_S, RTSP_PORT
@@ -35,7 +35,7 @@ class RtspCamera(ThreadCamera):
     ) -> None:
         del base  # a URL is never relative to the config
         self._options = read_options(address, NetworkOptions)
-        self._url = server_url(address, NetworkOptions)
+        self._url = with_login(server_url(address, NetworkOptions), address.login)
         self._clock = clock
         super().__init__(FrameSlot(str(address), clock, size, self._options.resize))
 

@@ -38,6 +38,7 @@ class SourceStatus:
         self._clock = clock
         self._ok, self._text = False, "not opened yet"
         self._trouble = ""
+        self._last_given: float | None = None
         self._came: deque[float] = deque(maxlen=512)
         # (now, age) of what was given to the consumer
         self._given: deque[tuple[float, float]] = deque(maxlen=256)
@@ -60,14 +61,25 @@ class SourceStatus:
         self._given.append((now, now - t))
         self._t_sigma = t_sigma
         self.counts.frames += 1
+        self._last_given = now
         self._trouble = ""
 
     def refuse(self, text: str) -> None:
-        """Count a rejected frame, with the reason; reported until one is accepted."""
+        """Report the reason of a rejected frame until one is accepted."""
         text = plain(text)
         if text != self._trouble:
             log.warning("camera %s: %s", self.name, text)
         self._trouble = text
+
+    def damaged(self, reason: str, what: str = "frames come, but no picture can be read from them") -> None:
+        """Count a frame that cannot be read. Where no other was good for a while, that is the source's state."""
+        self.counts.corrupt += 1
+        now = self._clock.now()
+        if self._last_given is None or now - self._last_given > CAMERA_RATE_WINDOW_S:
+            text = plain(f"{what}; the last: {reason}")
+            if not self._trouble:
+                log.warning("camera %s: %s", self.name, text)
+            self._trouble = text
 
     def status(self) -> LinkStatus:
         now = self._clock.now()

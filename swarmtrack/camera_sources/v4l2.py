@@ -33,7 +33,7 @@ from pathlib import Path
 
 from swarmtrack.camera_sources import v4l2_abi as abi
 from swarmtrack.camera_sources.address import CameraAddress, in_range, read_options
-from swarmtrack.camera_sources.decode import decode_grey, decode_jpeg, decode_yuyv
+from swarmtrack.camera_sources.decode import RAW_FORMATS, RawImage, decode_jpeg, decode_raw
 from swarmtrack.camera_sources.frame_slot import BadImage, FrameSlot, Freshness, RawFrame
 from swarmtrack.camera_sources.limits import (
     CAMERA_FIRST_BACKOFF_S,
@@ -46,12 +46,15 @@ from swarmtrack.camera_sources.limits import (
     PLAUSIBLE_STAMP_AGE_S,
 )
 from swarmtrack.camera_sources.newest_slot import start, stop
+from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
 from swarmtrack.plain_text import plain
 
-FORMATS = ("GREY", "YUYV", "MJPG")  # what we decode, best first: the first two need no decompression
+# What we decode, best first: JPEG must be decompressed, and of 16 bits the camera's own 8 are better stretched.
+FORMATS = ("GREY", "YUYV", "UYVY", "YVYU", "NV12", "NV21", "MJPG", "BGR3", "RGB3", "Y16")
+assert set(FORMATS) == {*RAW_FORMATS, "MJPG"}
 LIBCAMERA_DRIVERS = ("unicam", "rp1-cfe")
 
 
@@ -305,6 +308,7 @@ class Capture:
         self.period = period  # s
         self.description = description
         self.maps: list[mmap.mmap] = []
+        self._stretch = Stretch()
         self._retired = False
 
     def dequeue(self) -> abi.Buffer | None:
@@ -332,9 +336,9 @@ class Capture:
             raise BadImage("the camera was closed before it was decoded") from None
         if self.fourcc == "MJPG":
             return decode_jpeg(data, grey)
-        if self.fourcc == "GREY":
-            return decode_grey(data, *self.size, self.stride or self.size[0])
-        return decode_yuyv(data, *self.size, self.stride or 2 * self.size[0], grey)
+        return decode_raw(
+            data, RawImage(self.fourcc, *self.size, self.stride), grey=grey, stretch=self._stretch
+        )
 
     def retire(self) -> None:
         """Disable `requeue`. Called on the loop, as `requeue` is, so the two cannot meet."""
@@ -375,7 +379,8 @@ def open_capture(path: str, options: V4l2Options, size: tuple[int, int] | None) 
         remarks = _set_controls(fd, options)
         period = _set_rate(fd, options.fps)
         remarks += _remark_on_rate(period, options.fps)
-        name = f"{_card(capability)}: {abi.fourcc_name(pix.pixelformat)} "
+        depth = " (16 bits, stretched to 8)" if abi.fourcc_name(pix.pixelformat) == "Y16" else ""
+        name = f"{_card(capability)}: {abi.fourcc_name(pix.pixelformat)}{depth} "
         description = f"{name}{pix.width}x{pix.height} at {1 / period:.4g} fps{remarks}"
         capture = Capture(fd, pix, period, description)
     except CameraUnavailable as away:
@@ -430,9 +435,15 @@ def _set_format(path: str, fd: int, wanted: tuple[str, ...], size: tuple[int, in
             return pix
         second_best = second_best or pix
     if second_best is None:
+        readable = [name for name in offered if name in FORMATS]
+        advice = (
+            f"add {readable[0]} to fourcc= in the address"
+            if readable
+            else "select another mode of the camera, or have another program convert it and serve it as rtsp:// or "
+            "http:// (GStreamer, MediaMTX)"
+        )
         raise CameraUnavailable(
-            f"{path} offers {', '.join(offered) or 'no format'}, expected one of {', '.join(wanted)}: "
-            "choose another camera or mode, or widen fourcc= in the address"
+            f"{path} offers {', '.join(offered) or 'no format'}, expected one of {', '.join(wanted)}: {advice}"
         )
     return _try_format(path, fd, abi.fourcc_name(second_best.pixelformat), size)
 

@@ -180,7 +180,7 @@ VIDIOC_S_CTRL = _request(_READ | _WRITE, 28, Control)
 
 
 def fourcc(name: str) -> int:
-    return int.from_bytes(name.encode("ascii"), "little")
+    return int.from_bytes(name.ljust(4).encode("ascii"), "little")
 
 
 def fourcc_name(code: int) -> str:

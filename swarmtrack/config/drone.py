@@ -198,7 +198,8 @@ class CameraSection(Section):
         description="v4l2:///dev/video0, file://, images://, rtsp://, http://, detections:// or sim://"
     )
     calibration: Path | None = Field(
-        default=None, description="calibration file of Kalibr, ROS camera_info, OpenCV or EuRoC"
+        default=None,
+        description="calibration file of Kalibr, ROS, OpenCV or another tool (docs/calibration.md)",
     )
     calibration_camera: Text | None = Field(
         default=None, description="which camera, where the file holds several, such as cam1"
@@ -441,7 +442,7 @@ class DetectorSection(Section):
         default=None,
         description="folder for engines compiled by TensorRT or OpenVINO, instead of ~/.cache/swarmtrack",
     )
-    head: Literal["auto", "centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr"] = Field(
+    head: Literal["auto", "centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr", "labelled_boxes"] = Field(
         default="auto", description="format of your own network's outputs"
     )
     names: tuple[Text, ...] = Field(

@@ -1,7 +1,8 @@
 """Description of a net: read from the file's own metadata, else recognised, else configured.
 
 Four sources, by priority: what a config declares, our own `swarmtrack.*` metadata, those that Ultralytics writes, and
-the shapes of the outputs. A net that none of them explains is refused in a sentence that names what was found.
+the outputs' shapes and values (`readings`). A net that none of them explains, or whose outputs can be read in two ways,
+is refused in a sentence that names what was found.
 """
 
 from __future__ import annotations
@@ -9,21 +10,27 @@ from __future__ import annotations
 import ast
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 from swarmtrack.detection import metadata
+from swarmtrack.detection.readings import (
+    HEAD_FORMATS,
+    HEADS,
+    HeadReading,
+    Trial,
+    contradiction,
+    most_label,
+    readings,
+)
 from swarmtrack.errors import ModelError
 from swarmtrack.plain_text import plain
 from swarmtrack.relative.box_width import BoxWidth
 
-HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr")
-STRIDES = (8, 16, 32)  # of YOLO's three maps
-ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
 FOREIGN_THRESHOLD = 0.25  # of nets that tell none: what Ultralytics' own predictor takes
 DRONE_CLASS_NAMES = ("drone", "uav", "quadcopter", "quadrotor", "multirotor", "multicopter")
 LOOK_ALIKES = ("bird", "airplane", "aeroplane", "plane", "helicopter", "kite", "balloon")
 
-Shape = tuple[int, ...]
+HOW_TO_SAY = "detector.head, or --head of swarmtrack video"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,7 +48,8 @@ class Declared:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Description:
-    """head: how its outputs are to be read, one of `HEADS`; stride: input px per cell of a CenterNet; multiple: input
+    """head: how its outputs are to be read, one of `HEADS`; outputs: which of them, in the head's order, empty for all;
+    stride: input px per cell of a CenterNet; multiple: input
     sides are multiples of this; names: of its classes, in their order; drones, vetoes: which of them are what we look
     for, and which speak against it where both are seen.
 
@@ -52,6 +60,7 @@ class Description:
     """
 
     head: str
+    outputs: tuple[int, ...] = ()
     stride: int = 1
     multiple: int = 32
     names: tuple[str, ...] = ("drone",)
@@ -67,13 +76,6 @@ class Description:
     second_stage: bool = False
     source: str
     entries: Mapping[str, str]
-
-
-class Trial(NamedTuple):
-    """The net's answer to an empty image: input (width, height) px, and the shapes of its outputs, in order."""
-
-    input_size: tuple[int, int]
-    shapes: tuple[Shape, ...]
 
 
 def describe(path: str, written: Mapping[str, str], trial: Trial, declared: Declared) -> Description:
@@ -151,83 +153,70 @@ def _ultralytics(path: str, written: Mapping[str, str], trial: Trial, declared: 
         raise ModelError(
             f"{path}: Ultralytics metadata are {found}, expected names like {{0: 'drone'}} and a stride"
         ) from None
-    head = declared.head or _head_of(trial, len(names))
-    if head is None:
-        raise _unknown(path, trial)
+    reading = _reading(path, trial, len(declared.names or names), declared)
     return Description(
-        head=head, multiple=multiple, names=names, source="Ultralytics' metadata", entries=dict(written)
+        head=reading.head,
+        outputs=reading.outputs,
+        multiple=multiple,
+        names=names,
+        source="Ultralytics' metadata",
+        entries=dict(written),
     )
 
 
 def _recognised(path: str, trial: Trial, declared: Declared) -> Description:
-    head = declared.head or _head_of(trial, len(declared.names) or None)
-    if head is None:
-        raise _unknown(path, trial)
-    classes = class_count(head, trial.shapes)
-    if classes is None:
-        raise _unknown(path, trial, f"; as head {head} they make no sense")
+    reading = _reading(path, trial, len(declared.names) or None, declared)
+    classes = reading.classes or 1
+    if not declared.names and (last := most_label(reading, trial)) > 0:
+        raise ModelError(
+            f"{path}: distinguishes {last + 1} classes at least and does not name them; list all of them, in their "
+            "order, in detector.names, or --names of swarmtrack video"
+        )
     names = declared.names or (("drone",) if classes == 1 else tuple(f"class_{i}" for i in range(classes)))
-    stride = trial.input_size[0] // trial.shapes[0][-1] if head == "centernet" else 1
-    return Description(head=head, stride=stride, names=names, source="the shapes of its outputs", entries={})
+    stride = trial.input_size[0] // trial.shapes[0][-1] if reading.head == "centernet" else 1
+    return Description(
+        head=reading.head,
+        outputs=reading.outputs,
+        stride=stride,
+        names=names,
+        source="the shapes of its outputs",
+        entries={},
+    )
 
 
-def _head_of(trial: Trial, classes: int | None) -> str | None:
-    """By the outputs' shapes: a YOLO has as many rows as its input has cells, which no other has."""
-    shapes = trial.shapes
-    if _is_centernet(shapes):
-        return "centernet"
-    if any(len(shape) != 3 or shape[0] != 1 for shape in shapes):
-        return None
-    if len(shapes) == 2 and shapes[0][1] == shapes[1][1] and 4 in (shapes[0][2], shapes[1][2]):
-        return "detr"
-    if len(shapes) != 1:
-        return None
-    rows, columns = shapes[0][1:]
-    cells = sum((trial.input_size[0] // stride) * (trial.input_size[1] // stride) for stride in STRIDES)
-    if columns == cells and rows > 4:
-        return "yolo_v8"
-    if rows == ANCHORS_V5 * cells and columns > 5:
-        return "yolo_v5"
-    if columns == 6 and rows != cells:
-        return "end_to_end"
-    return "detr" if classes is not None and columns == 4 + classes and rows != cells else None
+def _reading(path: str, trial: Trial, classes: int | None, declared: Declared) -> HeadReading:
+    """The one reading of the outputs that fits. Raises `ModelError` where none does, or more than one."""
+    fitting = readings(trial, classes)
+    if declared.head is not None:
+        for reading in fitting:
+            if reading.head == declared.head:
+                return reading
+        others = f"; they fit {', '.join(reading.head for reading in fitting)}" if fitting else ""
+        raise _unknown(path, trial, classes, f"; as head {declared.head} they make no sense{others}")
+    against = {reading: contradiction(reading, trial, classes) for reading in fitting}
+    good = [reading for reading, reason in against.items() if not reason]
+    if len(good) == 1:
+        return good[0]
+    if good:
+        ways = " or ".join(f"{reading.head} ({HEAD_FORMATS[reading.head]})" for reading in good)
+        raise ModelError(
+            f"{path}: its outputs, {_shapes(trial)}, can be read in more than one way: as {ways}; set {HOW_TO_SAY}"
+        )
+    reasons = "".join(f"; it is not {reading.head}: {reason}" for reading, reason in against.items())
+    raise _unknown(path, trial, classes, reasons)
 
 
-def _is_centernet(shapes: Sequence[Shape]) -> bool:
-    if len(shapes) != 3 or any(len(shape) != 4 for shape in shapes):
-        return False
-    h, w = shapes[0][2:]
-    return list(shapes) == [(1, 1, h, w), (1, 2, h, w), (1, 2, h, w)]
+def _shapes(trial: Trial) -> str:
+    return ", ".join(str(shape) for shape in trial.shapes[:8]) or "none"
 
 
-def class_count(head: str, shapes: Sequence[Shape]) -> int | None:
-    """Number of classes that a net with this head and outputs of these shapes distinguishes; None: they do not fit
-    the head.
-    """
-    if head == "centernet":
-        return 1 if _is_centernet(shapes) else None
-    if not shapes or any(len(shape) != 3 or shape[0] != 1 for shape in shapes):
-        return None
-    count: int | None = None
-    if head == "detr":
-        if len(shapes) == 2 and shapes[0][1] == shapes[1][1] and 4 in (shapes[0][2], shapes[1][2]):
-            count = shapes[0][2] if shapes[1][2] == 4 else shapes[1][2]
-        elif len(shapes) == 1:
-            count = shapes[0][2] - 4
-    elif len(shapes) == 1:
-        rows, columns = shapes[0][1:]
-        of_head = {"yolo_v8": rows - 4, "yolo_v5": columns - 5, "end_to_end": 1 if columns == 6 else 0}
-        count = of_head[head]
-    return count if count is not None and count >= 1 else None
-
-
-def _unknown(path: str, trial: Trial, more: str = "") -> ModelError:
+def _unknown(path: str, trial: Trial, classes: int | None, more: str = "") -> ModelError:
     width, height = trial.input_size
-    shapes = ", ".join(str(shape) for shape in trial.shapes) or "none"
+    known = "" if classes is None else f" and {classes} class{'es' if classes > 1 else ''}"
     return ModelError(
-        f"{path}: its outputs have no known format: {shapes} for an input of {width}x{height}{more}; "
-        f"known are (1, 4 + classes, cells) as of YOLOv8, (1, 3 cells, 5 + classes) as of YOLOv5, (1, n, 6), two of "
-        f"(1, n, 4) and (1, n, classes), and a CenterNet's three maps; set detector.head to one of {', '.join(HEADS)}"
+        f"{path}: its outputs have no known format: {_shapes(trial)} for an input of {width}x{height}{known}{more}; "
+        f"known are {', '.join(f'{head} {form}' for head, form in HEAD_FORMATS.items())}; export it so, or set "
+        f"{HOW_TO_SAY} (and names, where the file has none)"
     )
 
 
@@ -263,7 +252,7 @@ def _with_classes(path: str, description: Description, declared: Declared) -> De
     if not drones:
         raise ModelError(
             f"{path}: none of its classes is called drone; they are {_listed(description.names)}; name the drones' "
-            "classes in detector.classes"
+            "classes in detector.classes, or --classes of swarmtrack video"
         )
     against: list[str] = [name.lower() for name in declared.veto] or [*LOOK_ALIKES]
     vetoes = frozenset(i for i, name in enumerate(names) if name in against) - drones

@@ -1,6 +1,6 @@
 """Decoding: from a network's outputs to candidates in pixels of its input.
 
-A head is a function; to add one, write it, its line in `READ`, and how it is recognised (`description.py`). Boxes of
+A head is a function; to add one, write it, its line in `READ`, and how it is recognised (`readings.py`). Boxes of
 YOLO and DETR count from the edge of the first pixel, ours from its centre: half a pixel lies between.
 """
 
@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.detection.description import Description, class_count
+from swarmtrack.detection.description import Description
+from swarmtrack.detection.readings import class_count
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Array
 
@@ -105,12 +106,23 @@ def detr(outputs: Sequence[Output], net: Description, threshold: float, input_si
     return _of_classes(boxes * np.tile(np.asarray(input_size, float), 2), told, threshold)
 
 
+def labelled_boxes(outputs: Sequence[Output], _: Description, threshold: float, __: InputSize) -> Candidates:
+    """Corners (1, n, 4) [px], scores (1, n) and classes (1, n); what overlaps is suppressed already."""
+    corners, scores, labels = (output[0] for output in outputs)
+    kept = scores >= threshold
+    low, high = corners[kept, :2], corners[kept, 2:]
+    return _best_first(
+        0.5 * (low + high) - HALF_A_PIXEL, high - low, scores[kept], labels[kept].astype(np.intp)
+    )
+
+
 READ: dict[str, Head] = {
     "centernet": centernet,
     "yolo_v5": yolo_v5,
     "yolo_v8": yolo_v8,
     "end_to_end": end_to_end,
     "detr": detr,
+    "labelled_boxes": labelled_boxes,
 }
 
 
@@ -118,6 +130,7 @@ def read(outputs: Sequence[Output], net: Description, threshold: float, input_si
     """Candidates that score at least `threshold`, best first; `ModelError` where the outputs are not of the net's
     head.
     """
+    outputs = [outputs[i] for i in net.outputs] if net.outputs else outputs
     shapes = [output.shape for output in outputs]
     if class_count(net.head, shapes) is None:
         raise ModelError(f"head {net.head}: outputs have shapes {shapes}, which are not such a net's")

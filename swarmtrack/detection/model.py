@@ -7,12 +7,13 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 import onnxruntime as ort
 
 from swarmtrack.errors import ModelError
+from swarmtrack.plain_text import plain
 
 SHIPPED = ("default",)
 
@@ -38,6 +39,10 @@ ENGINE_CACHES: dict[str, dict[str, str]] = {
 }
 ELEMENTS = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 """Types of input that a net may have."""
+SIZE_ELEMENTS = {"tensor(int64)": np.int64, "tensor(int32)": np.int32}
+SMALLEST_NET_INPUT_PX = 16
+MOST_INPUT_PIXELS = 3840 * 2160
+"""As floats, 100 MB."""
 TRIAL_S, COMPILING_S = 30.0, 1200.0  # s for the first answer; where an accelerator compiles the net before
 
 T = TypeVar("T")
@@ -148,15 +153,42 @@ def first_answer(path: Path, ask: Callable[[ort.RunOptions], T], *, limit_s: flo
         ending.cancel()
 
 
-def check_input(path: Path, session: ort.InferenceSession) -> tuple[int, int] | None:
-    """The fixed (width, height) of the net's input in px, or None where any size will do."""
+class NetInput(NamedTuple):
+    """What a net is fed. name, element: of the image (1, channels, height, width); fixed_size: its (width, height) px,
+    None where any will do; size_name, size_element: of a second input (1, 2), the image's size [px], None without one.
+    """
+
+    name: str
+    element: type
+    channels: int
+    fixed_size: tuple[int, int] | None
+    size_name: str | None = None
+    size_element: type = np.int64
+
+
+def check_input(path: Path, session: ort.InferenceSession) -> NetInput:
+    """The inputs of a net. Raises `ModelError` where they are not an image's."""
     inputs = session.get_inputs()
-    shape = inputs[0].shape if inputs else []
-    good = len(inputs) == 1 and inputs[0].type in ELEMENTS and len(shape) == 4 and shape[1] == 3
+    images = [entry for entry in inputs if len(entry.shape) == 4]
+    sizes = [entry for entry in inputs if entry.type in SIZE_ELEMENTS and entry.shape[1:] == [2]]
+    shape = images[0].shape if images else [0, 0, 0, 0]
+    good = len(images) == 1 and images[0].type in ELEMENTS and shape[1] in (1, 3)
+    good &= len(inputs) == 1 or (len(inputs) == 2 and len(sizes) == 1)
     if not good or (isinstance(shape[0], int) and shape[0] != 1):
-        found = "; ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs) or "none"
+        found = "; ".join(f"{entry.name} {entry.type} {entry.shape}" for entry in inputs[:8]) or "none"
+        last = " (its channels are last: export it with the channels first)" if shape[3] in (1, 3) else ""
         raise ModelError(
-            f"{path}: inputs are {found}; expected one of type {' or '.join(ELEMENTS)} and shape [1, 3, height, width]"
+            f"{path}: inputs are {plain(found)}{last}; expected one image of type {' or '.join(ELEMENTS)} and shape "
+            "[1, 3 or 1, height, width], and at most the image's size, int64 [1, 2]"
         )
     height, width = shape[2], shape[3]
-    return (width, height) if isinstance(width, int) and isinstance(height, int) else None
+    fixed = (width, height) if isinstance(width, int) and isinstance(height, int) else None
+    if fixed is not None and not (
+        min(fixed) >= SMALLEST_NET_INPUT_PX and width * height <= MOST_INPUT_PIXELS
+    ):
+        raise ModelError(
+            f"{path}: its input is {width}x{height} px, expected a detector's: {SMALLEST_NET_INPUT_PX} px at least on "
+            f"each side, and {MOST_INPUT_PIXELS / 1e6:.1f} megapixels at most"
+        )
+    size = (sizes[0].name, SIZE_ELEMENTS[sizes[0].type]) if sizes else (None, np.int64)
+    return NetInput(images[0].name, ELEMENTS[images[0].type], shape[1], fixed, *size)

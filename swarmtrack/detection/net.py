@@ -12,15 +12,16 @@ from numpy.typing import NDArray
 
 from swarmtrack.clock import Clock
 from swarmtrack.detection import letterbox
-from swarmtrack.detection.description import Declared, Description, Trial, describe
+from swarmtrack.detection.description import Declared, Description, describe
 from swarmtrack.detection.heads import Candidates, Output, read, suppress
 from swarmtrack.detection.letterbox import Letterbox
-from swarmtrack.detection.model import ELEMENTS, check_input, first_answer, trial_limit
+from swarmtrack.detection.model import check_input, first_answer, trial_limit
 from swarmtrack.detection.odds import logit, probability
+from swarmtrack.detection.readings import Trial
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Image
 
-TRIAL_SIZE = (96, 64)  # px, where the net's input may have any size
+TRIAL_SIZE = (192, 128)  # px, where the net's input may have any size: multiples of the coarsest stride
 
 
 class Seconds(NamedTuple):
@@ -38,10 +39,10 @@ class Net:
         self._path = path
         self._session = session
         self._clock = clock
-        self.fixed_size = check_input(path, session)
+        self._input = check_input(path, session)
+        self.fixed_size = self._input.fixed_size
         """(width, height) px of the only input that it takes; None: any."""
-        entry = session.get_inputs()[0]
-        self.input_name, self._element = entry.name, ELEMENTS[entry.type]
+        self.input_name = self._input.name
         written = session.get_modelmeta().custom_metadata_map
         self.description: Description = describe(str(path), written, self._try_out(), declared)
 
@@ -81,34 +82,48 @@ class Net:
         return kept.select(np.isin(kept.label, [*net.drones]))
 
     def _blob(self, image: NDArray[np.uint8]) -> Output:
-        """(1, 3, h, w) as the net wants it, of its own input's size."""
+        """(1, 3 or 1, h, w) as the net wants it, of its own input's size. One channel is luma."""
         net = self.description
+        if self._input.channels == 1:
+            grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY).astype(np.float32)
+            return np.asarray((grey - net.mean[0]) * np.float32(net.scale[0]), self._input.element)[
+                None, None
+            ]
         blob = np.asarray(
             cv2.dnn.blobFromImage(image, mean=net.mean, swapRB=net.channel_order == "RGB"), np.float32
         )
         blob *= np.array(net.scale, np.float32)[:, None, None]
-        return np.asarray(blob, self._element)
+        return np.asarray(blob, self._input.element)
 
     def _answer(self, blob: Output, options: ort.RunOptions | None = None) -> list[Output]:
-        outputs: list[Output] = self._session.run(None, {self.input_name: blob}, options)
+        height, width = blob.shape[2:]
+        fed = {self.input_name: blob}
+        if self._input.size_name is not None:
+            fed[self._input.size_name] = np.array([[width, height]], self._input.size_element)
+        outputs: list[Output] = self._session.run(None, fed, options)
         if not all(np.isfinite(output).all() for output in outputs):
-            height, width = blob.shape[2:]
             raise ModelError(
                 f"{self._path}: the net answered NaN or infinity for an input of {width}x{height}"
             )
         return outputs
 
     def _try_out(self) -> Trial:
-        """An empty image, before anything is known of the net but its input."""
+        """An image of noise, in which most nets find something, before anything is known of the net but its input."""
         width, height = self.fixed_size or TRIAL_SIZE
-        empty = np.zeros((1, 3, height, width), self._element)
+        noise = np.random.default_rng(0).random((1, self._input.channels, height, width), np.float32)
+        noise = noise.astype(self._input.element, copy=False)
         outputs = first_answer(
             self._path,
-            lambda options: self._answer(empty, options),
+            lambda options: self._answer(noise, options),
             limit_s=trial_limit(self._session),
-            what=f"an empty image of {width}x{height}",
+            what=f"a trial image of {width}x{height}",
         )
-        return Trial((width, height), tuple(tuple(output.shape) for output in outputs))
+        return Trial(
+            (width, height),
+            tuple(tuple(output.shape) for output in outputs),
+            tuple(output.name for output in self._session.get_outputs()),
+            tuple(outputs),
+        )
 
     def _letterbox(self, width: int, height: int, scale: float) -> Letterbox:
         if self.fixed_size is not None:

@@ -50,7 +50,8 @@ def of_camera(number: int, finding: Finding) -> Finding:
 class Fault(NamedTuple):
     """A sentence and its remedy. Words in braces are filled in.
 
-    instead: the remedy where it is another, by the autopilot (PX4, ArduPilot), by the link (serial), or by both.
+    instead: the remedy where it is another, by the autopilot (PX4, ArduPilot), by the link (serial), or by both; by the
+    kind of camera (its scheme).
     """
 
     level: Level
@@ -82,17 +83,45 @@ FAULTS: dict[str, Fault] = {
         F,
         "the camera's server does not answer: {reason}",
         "ping its host, open the address in a browser, and check port, path and password",
+        {"rtsp": "ping its host, open the address in a player (ffplay, VLC), and check port, path and password"},
     ),
     "camera.silent": Fault(
         F,
         "the camera is open but sent no frame in {seconds:.0f} s: {reason}",
         "check cable, power and USB bandwidth; try a smaller size or fourcc=MJPG",
+        {
+            "http": "open the address in a browser; stop other clients, since some cameras serve one only, and restart "
+            "the camera",
+            "rtsp": "open the address in a player (ffplay, VLC); stop other clients, since some cameras serve one "
+            "only, and restart the camera",
+            "detections": "check that the source's program runs and sends a line for each frame",
+        },
+    ),
+    "camera.garbled": Fault(
+        F,
+        "data arrive from the camera, but no picture can be read from them: {reason}",
+        "see the reason; open the source with another program",
+        {
+            "http": "open the address in a browser; select MJPEG in the camera's settings, or use rtsp:// for H.264",
+            "rtsp": "open the address in a player (ffplay, VLC); select H.264 in the camera's settings",
+            "v4l2": "try another fourcc= or a smaller size in camera.source, and another cable, port or hub",
+            "images": "convert the images with another program",
+            "detections": "make the source send lines of the form in configs/smart-camera.toml",
+        },
     ),
     "camera.size": Fault(
         F,
         "the camera's image is not the calibrated one: {reason}",
         "request the calibrated size in camera.source (width=, height=), or calibrate again: swarmtrack calibrate "
         "intrinsics",
+        {
+            "http": "set the calibrated size in the camera's settings, or calibrate again: swarmtrack calibrate "
+            "intrinsics",
+            "rtsp": "set the calibrated size in the camera's settings, or calibrate again: swarmtrack calibrate "
+            "intrinsics",
+            "file": "use the recording's own calibration, or add resize=1 if both show the same view",
+            "images": "use the recording's own calibration, or add resize=1 if both show the same view",
+        },
     ),
     "camera.stale": Fault(
         F,
@@ -106,6 +135,7 @@ FAULTS: dict[str, Fault] = {
         W,
         "frames are {age_ms:.0f} ms old when they arrive",
         "use fewer buffers, a faster encoder or a USB camera; below 100 ms, identities come sooner",
+        {"v4l2": "set a shorter exposure (exposure_us=) or a smaller size; below 100 ms, identities come sooner"},
     ),
     "camera.slow": Fault(
         W,
@@ -116,11 +146,20 @@ FAULTS: dict[str, Fault] = {
         W,
         "{share:.0%} of the frames are damaged",
         "check cable and USB hub, or lower the size or rate of the stream",
+        {
+            "http": "check the Wi-Fi or network, or lower the size or rate of the stream",
+            "images": "copy the images again",
+            "detections": "make the source send lines of the form in configs/smart-camera.toml",
+        },
     ),
     "camera.stamps": Fault(
         W,
-        "frames are stamped at arrival, not at exposure (± {sigma_ms:.0f} ms)",
-        "make the server send X-Timestamp, or measure the delay: swarmtrack calibrate extrinsics",
+        "frames are stamped at arrival, not at exposure (± {sigma_ms:.0f} ms){why}",
+        "measure the delay: swarmtrack calibrate extrinsics",
+        {
+            "http": "make the server send X-Timestamp in UTC and set its clock (chrony), or measure the delay: "
+            "swarmtrack calibrate extrinsics",
+        },
     ),
     "camera.blank": Fault(
         W,

@@ -36,6 +36,7 @@ STILL_TURN = 0.003  # rad/s: the attitude's own drift
 # The first that matches, of what a camera says when it does not work.
 CAMERA_TROUBLES = (
     ("camera.size", r"^frames are \d+x\d+, the calibration"),
+    ("camera.garbled", r"but no picture|but none is understood"),
     ("camera.missing", r"is not there|unplugged"),
     ("camera.forbidden", r"permission denied"),
     ("camera.busy", r": busy, held by"),
@@ -67,7 +68,7 @@ class CameraFacts:
 
     refused: why its address can never work, or empty; status: its own; asked_hz: by the config, None where nothing was;
     frames: that came; size (width, height) px of the last; stamps: kinds seen; shade: mean and standard deviation of
-    the last frame's brightness, 0…255; live: no recording.
+    the last frame's brightness, 0…255; live: no recording; kind: the scheme of its address.
     """
 
     seconds: float
@@ -80,6 +81,7 @@ class CameraFacts:
     stamps: frozenset[StampKind] = frozenset()
     shade: tuple[float, float] | None = None
     live: bool = True
+    kind: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,30 +135,39 @@ def check_pose(facts: PoseFacts) -> list[Finding]:
 
 def check_camera(facts: CameraFacts) -> list[Finding]:
     """One failure, or warnings, or a line that all is well."""
+    kind = ("http" if facts.kind == "https" else facts.kind,)
     if facts.refused:
         name = "camera.size" if "the calibration is for" in facts.refused else "camera.address"
-        return [fault(name, reason=facts.refused)]
+        return [fault(name, setting=kind, reason=facts.refused)]
     assert facts.status is not None
     numbers = dict(facts.status.counters)
     age_ms = numbers.get("age_p50_ms", 0.0)
     text = facts.status.text
     if not facts.status.ok or (facts.frames == 0 and facts.live):
         name = _named(CAMERA_TROUBLES, text, "camera.silent" if facts.status.ok else "camera.broken")
-        return [fault(name, reason=_reason(text), seconds=facts.seconds)]
+        return [fault(name, setting=kind, reason=_reason(text), seconds=facts.seconds)]
     if facts.live and age_ms > 1e3 * facts.max_age_s:
         return [fault("camera.stale", age_ms=age_ms, limit_s=facts.max_age_s)]
     findings = []
     if facts.live and age_ms > FRAME_LATE_MS:
-        findings.append(fault("camera.late", age_ms=age_ms))
+        findings.append(fault("camera.late", setting=kind, age_ms=age_ms))
     got_hz = numbers.get("fps", 0.0)
     if facts.live and facts.asked_hz and 0.0 < got_hz < RATE_ENOUGH_SHARE * facts.asked_hz:
         findings.append(fault("camera.slow", got_hz=got_hz, asked_hz=facts.asked_hz))
     corrupt = numbers.get("corrupt", 0.0)
     if corrupt > DAMAGED * (corrupt + numbers.get("frames", 0.0)):
         share = corrupt / (corrupt + numbers.get("frames", 0.0))
-        findings.append(fault("camera.damaged", share=share))
+        findings.append(fault("camera.damaged", setting=kind, share=share))
     if StampKind.ARRIVAL in facts.stamps:
-        findings.append(fault("camera.stamps", sigma_ms=numbers.get("t_sigma_ms", math.nan)))
+        why = re.search(r"; stamps are not used: .*", text)
+        findings.append(
+            fault(
+                "camera.stamps",
+                setting=kind,
+                sigma_ms=numbers.get("t_sigma_ms", math.nan),
+                why=why[0] if why else "",
+            )
+        )
     if facts.shade is not None and facts.shade[1] < BLANK:
         findings.append(fault("camera.blank", mean=facts.shade[0], spread=facts.shade[1]))
     return findings or [ok("camera", _camera_in_words(facts, got_hz, age_ms))]

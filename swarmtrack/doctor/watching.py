@@ -106,6 +106,7 @@ class CameraWatch:
             stamps=frozenset(self._stamps),
             shade=None if frame is None else _shade(frame),
             live=address is None or address.scheme not in RECORDED_SOURCES,
+            kind="" if address is None else address.scheme,
         )
         return WatchedCamera(facts, await asyncio.to_thread(self._compared, heard), frame)
 

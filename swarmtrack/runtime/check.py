@@ -9,9 +9,11 @@ from pathlib import Path
 from swarmtrack.autopilot.address import parse_address as link_address
 from swarmtrack.camera_sources.address import parse_address as camera_address
 from swarmtrack.clock import SystemClock
-from swarmtrack.config.drone import CameraSection, DroneConfig, load_config
+from swarmtrack.config.camera_files import load_calibration
+from swarmtrack.config.drone import CameraSection, DroneConfig, load_config, mount_camera
 from swarmtrack.config.formation import fields_of_view
-from swarmtrack.diagnosis.findings import fault
+from swarmtrack.diagnosis.findings import Finding, Level, fault
+from swarmtrack.diagnosis.mounting import MountFacts, check_calibration
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan, HalfView
@@ -67,7 +69,8 @@ def check(path: Path) -> None:
             print(f"           {FLOWN if config.flies_in_formation else NOT_FLOWN}")
         print(textwrap.indent(as_text(plan, config.drone.id, _views(parts)), "           "))
     start = config.drone.start
-    findings = check_door(link, signed=config.autopilot.signing_key is not None)
+    findings = [finding for section in config.cameras for finding in _doubts(section)]
+    findings += check_door(link, signed=config.autopilot.signing_key is not None)
     if start.has_unknown_sigma:
         findings.append(fault("pose.unmeasured", sigma_m=start.position_sigma_m))
     for finding in findings:
@@ -84,6 +87,9 @@ def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
     name = "camera" if len(parts.lenses) == 1 else f"camera {number + 1}"
     print(f"{name:10} {camera}{_absence(camera.target) if camera.scheme == 'v4l2' else ''}")
     print(f"lens       {lens.width} x {lens.height} px, f = {lens.fx:.1f}, {lens.fy:.1f} px")
+    if section.calibration is not None:
+        for note in load_calibration(section.calibration, section.calibration_camera).notes:
+            print(f"           {note}")
     if len(parts.lenses) > 1:
         ahead, right, down = parts.door.perceived.cameras[number].body_from_camera.rotation[:, 2]
         azimuth, up = math.degrees(math.atan2(right, ahead)), -math.degrees(math.asin(down))
@@ -91,6 +97,17 @@ def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
         azimuth, up = round(azimuth) + 0, round(up) + 0
         way = f"{azimuth:+d}° from the nose, clockwise, {up:+d}° up"
         print(f"looks      {way}, known to {section.mounting_sigma_deg:g}°")
+
+
+def _doubts(section: CameraSection) -> list[Finding]:
+    """What is unlikely in the numbers of a lens."""
+    if section.simulated:
+        return []
+    return [
+        finding
+        for finding in check_calibration(MountFacts(mount_camera(section)))
+        if finding.level is not Level.OK
+    ]
 
 
 def draw_formation(path: Path) -> str:

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     tell(
         "--calibration",
         metavar="FILE",
-        help="file of Kalibr, ROS camera_info, OpenCV or EuRoC; copied to DIR",
+        help="file of Kalibr, ROS, OpenCV or another tool; copied to DIR",
     )
     tell("--fov", metavar="DEG", help="horizontal field of view, if there is no calibration")
     tell("--autopilot", metavar="KIND", help=f"{kinds}, or a link's address (default: px4-uart)")

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.camera_sources.video import open_path
 from swarmtrack.detection.description import LOOK_ALIKES
 from swarmtrack.lab.score.clip_score import TruthBoxes
 from swarmtrack.training.labelled_images import NEGATIVE, DataError, LabelledFrame
@@ -65,7 +66,7 @@ def drone_clips(folder: Path) -> list[Clip]:
 
 
 def _look_at(name: str, video: Path, truth: Path) -> Clip:
-    capture = cv2.VideoCapture(str(video))
+    capture = open_path(video)
     try:
         frames, fps, width, height = (
             capture.get(field)
@@ -123,7 +124,7 @@ def origins(clips: Sequence[Clip], frames: Sequence[LabelledFrame]) -> dict[str,
 def labelled_frames(clip: Clip, origin: Origin, every: int) -> Iterator[LabelledFrame]:
     """Each `every`-th frame of a clip that has a label, whole. Others may show unlabelled drones."""
     truth = read_truth(clip.truth)
-    video = cv2.VideoCapture(str(clip.video))
+    video = open_path(clip.video)
     try:
         for index in range(clip.frames):
             if not video.grab():

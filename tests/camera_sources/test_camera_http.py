@@ -9,7 +9,6 @@ from itertools import pairwise
 
 import cv2
 import msgspec
-import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -22,7 +21,9 @@ from support.streams import (
     counters,
     first,
     hang_up,
+    jpeg,
     nothing_comes_but,
+    part,
     sending,
     stream_server,
 )
@@ -34,18 +35,6 @@ from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import StampKind
 from swarmtrack.wire.health import link_health
-
-
-def jpeg(level: int, width: int = 64, height: int = 48) -> bytes:
-    encoded: bytes = cv2.imencode(".jpg", np.full((height, width, 3), level, np.uint8))[1].tobytes()
-    return encoded
-
-
-def part(body: bytes, *headers: str, length: bool = True) -> bytes:
-    lines = ["--frame", "Content-Type: image/jpeg", *headers]
-    if length:
-        lines.append(f"Content-Length: {len(body)}")
-    return "\r\n".join(lines).encode() + b"\r\n\r\n" + body + b"\r\n"
 
 
 @pytest.fixture
@@ -149,14 +138,15 @@ async def test_a_server_that_hangs_up_is_said_and_asked_again(server: StreamServ
         (404, "text/html", "HTTP 404 Not Found: check the path"),
         (401, "text/html", "user and password"),
         (200, "text/html", "is text/html, expected a stream of JPEGs"),
-        (200, "multipart/x-mixed-replace", "announces no boundary"),
+        (200, "image/jpeg", "is image/jpeg, a single picture, expected a stream"),
+        (200, "multipart/x-mixed-replace", "nothing for 0.5 s"),
     ],
 )
 async def test_what_is_no_stream_is_said(
     server: StreamServer, status: int, content_type: str, sentence: str
 ) -> None:
     server.status, server.content_type = status, content_type
-    camera = open_camera(server.url, clock=SystemClock())
+    camera = open_camera(server.url + "?timeout_s=0.5", clock=SystemClock())
     await nothing_comes_but(sentence, camera, camera.frames())
 
 
@@ -167,6 +157,79 @@ async def test_nobody_there_and_somebody_silent_are_told_apart(server: StreamSer
     ):
         camera = open_camera(url, clock=SystemClock())
         await nothing_comes_but(sentence, camera, camera.frames())
+
+
+async def test_bytes_without_a_picture_are_a_state_of_their_own(server: StreamServer) -> None:
+    async def script(send: Send) -> None:
+        while True:
+            await send(b"nothing to be seen here\r\n" * 10)
+            await asyncio.sleep(0.02)
+
+    server.script = script
+    camera = open_camera(server.url + "?timeout_s=0.5", clock=SystemClock())
+    words = 'bytes come, but no picture: no line holds the boundary "frame"'
+    await nothing_comes_but(words, camera, camera.frames())
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "words"),
+    [
+        (b"no jpeg", "image/jpeg", "no picture can be read from them; the last: not a JPEG"),
+        (b"<html>", "text/html", "the last: a part of the stream is text/html, expected image/jpeg"),
+    ],
+)
+async def test_pictures_that_cannot_be_read_are_a_state_of_their_own(
+    server: StreamServer, body: bytes, kind: str, words: str
+) -> None:
+    server.script = sending(*[part(body).replace(b"image/jpeg", kind.encode())] * 3)
+    camera = open_camera(server.url, clock=SystemClock())
+    await nothing_comes_but(words, camera, camera.frames())
+    assert counters(camera)["corrupt"] >= 1
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "Multipart/X-Mixed-Replace; Boundary=frame",
+        'multipart/mixed;charset=x; boundary="frame"',
+        "application/octet-stream",
+        "video/x-motion-jpeg",
+    ],
+)
+async def test_a_type_is_read_as_mime_writes_it(server: StreamServer, kind: str) -> None:
+    server.content_type = kind
+    camera = open_camera(server.url, clock=SystemClock())
+    server.script = sending(part(jpeg(20)), source=camera)
+    assert len(await first(1, camera.frames())) == 1
+    await camera.close()
+
+
+@pytest.mark.parametrize(
+    ("age_s", "problem"),
+    [
+        (1.2, "1.2 s behind this machine's monotonic clock by the youngest of 20 frames"),
+        (-0.1, " s ahead of this machine's monotonic clock by the youngest of 20 frames"),
+    ],
+)
+async def test_an_uptime_near_ours_is_not_taken_for_it(
+    server: StreamServer, age_s: float, problem: str
+) -> None:
+    clock = SystemClock()
+    camera = open_camera(server.url, clock=clock)
+
+    async def script(send: Send) -> None:
+        while True:
+            await send(part(jpeg(9), f"X-Timestamp: {clock.now() - age_s:.6f}"))
+            await asyncio.sleep(0.02)
+
+    server.script = script
+    frames = await first(25, camera.frames())
+    assert {frame.stamp for frame in frames} == {StampKind.ARRIVAL}
+    assert "stamps are not used: their clock is" in camera.status().text
+    assert problem in camera.status().text
+    assert camera.status().ok
+    assert counters(camera)["bad_stamps"] >= 25
+    await camera.close()
 
 
 # The parser alone -------------------------------------------------------------------------------------------------
@@ -206,12 +269,50 @@ def test_no_bytes_whatever_make_the_parser_raise_or_grow(chunks: list[bytes]) ->
 
 
 @pytest.mark.parametrize(
-    ("boundary", "delimiter"), [("frame", "--frame"), ("--frame", "--frame"), ('"--frame"', "----frame")]
+    ("boundary", "delimiter"),
+    [
+        ("frame", "--frame"),
+        ("--frame", "--frame"),
+        ('"--frame"', "----frame"),
+        ("---frame", "-----frame"),
+        ("frame", "frame"),
+        ("--video boundary--", "--video boundary--"),
+        ("video boundary--", "--video boundary--"),
+        ("x", "--x"),
+        ("", "--frame"),
+        ("--", "--frame"),
+        ("other", "--frame"),
+    ],
 )
-def test_boundaries_are_found_as_cameras_write_them(boundary: str, delimiter: str) -> None:
-    stream = b"".join(part(body) for body in BODIES).replace(b"--frame", delimiter.encode())
-    assert bodies(stream, [], boundary) == BODIES
+@pytest.mark.parametrize("length", [True, False])
+def test_boundaries_are_found_as_cameras_write_them(boundary: str, delimiter: str, length: bool) -> None:
+    stream = b"".join(part(body, length=length) for body in BODIES).replace(b"--frame", delimiter.encode())
+    for cuts in ([], list(range(0, len(stream), 7))):
+        assert [body.rstrip(b"\r\n") for body in bodies(stream, cuts, boundary)] == BODIES
     assert bodies(stream.replace(b"\r\n", b"\n"), [], boundary)[0][:3] == BODIES[0][:3]
+
+
+def test_a_stream_of_dashes_takes_no_longer_than_another() -> None:
+    reader = MultipartReader("frame")
+    for _ in range(64):
+        assert reader.feed(b"-" * 65536, 0.0) == []
+    assert reader.feed(b"frame\n" * 20_000, 0.0) == []
+    assert reader.feed(part(BODIES[0]), 0.0)[-1].body == BODIES[0]
+
+
+@pytest.mark.parametrize("before", [b"", b"\r\n", b"\0\0"])
+@pytest.mark.parametrize("behind", [b"", b"\0" * 4000, b"\xff" * 4000, b" \r\n" * 900])
+def test_an_image_may_be_padded(before: bytes, behind: bytes) -> None:
+    assert decode_jpeg(before + BODIES[1] + behind).shape == (16, 16, 3)
+
+
+def test_the_end_of_a_thumbnail_is_not_the_end_of_the_image() -> None:
+    small, whole = BODIES[0], jpeg(50)
+    thumbnail = b"\xff\xe1" + (len(small) + 2).to_bytes(2) + small
+    inside = whole[:2] + thumbnail + whole[2:]
+    assert decode_jpeg(inside).shape == (48, 64, 3)
+    with pytest.raises(BadImage, match="cut short"):
+        decode_jpeg(inside[:-20])
 
 
 @pytest.mark.parametrize("claimed", [10, 100_000, MAX_PART_BYTES + 1, -1, "many"])

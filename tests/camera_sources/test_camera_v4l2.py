@@ -21,9 +21,10 @@ import pytest
 from support.patience import PATIENCE
 from support.places import ROOT, V4L2_STAND_IN
 from swarmtrack.camera_sources import v4l2_abi as abi
-from swarmtrack.camera_sources.decode import decode_yuyv
+from swarmtrack.camera_sources.decode import RawImage, decode_raw
 from swarmtrack.camera_sources.frame_slot import BadImage, Freshness
 from swarmtrack.camera_sources.opening import open_camera
+from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.camera_sources.v4l2 import exposure_time, holders
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
@@ -149,7 +150,10 @@ def watch(library: Path, tmp_path: Path) -> Iterator[Watch]:
 
 
 @needs_cc
-@pytest.mark.parametrize(("fourcc", "shape"), [("GREY", [480, 600]), ("YUYV", [480, 600, 3])])
+@pytest.mark.parametrize(
+    ("fourcc", "shape"),
+    [("GREY", [480, 600]), ("YUYV", [480, 600, 3]), ("UYVY,NV16", [480, 600, 3]), ("NV12", [480, 600, 3])],
+)
 def test_every_frame_carries_the_kernels_start_of_exposure_and_its_own_picture(
     watch: Watch, fourcc: str, shape: list[int]
 ) -> None:
@@ -256,8 +260,9 @@ def test_an_unplugged_camera_comes_back_and_its_frames_count_on(watch: Watch) ->
 @pytest.mark.parametrize(
     ("script", "query", "sentence"),
     [
-        ({"formats": "H264"}, "", "offers H264, expected one of GREY, YUYV, MJPG"),
-        ({"formats": "YUYV"}, "fourcc=MJPG", "offers YUYV, expected one of MJPG"),
+        ({"formats": "H264"}, "", "offers H264, expected one of GREY, YUYV, UYVY"),
+        ({"formats": "YUYV"}, "fourcc=MJPG", "offers YUYV, expected one of MJPG: add YUYV to fourcc="),
+        ({"formats": "NV16"}, "", "have another program convert it and serve it as rtsp://"),
         ({"formats": "GREY", "busy": 1}, "", "busy, held by"),
         ({"open_errno": 13}, "", "usermod -aG video"),
         ({"plugged": 0}, "", "is not there"),
@@ -388,4 +393,53 @@ def test_a_size_that_contradicts_the_calibration_can_never_work() -> None:
 @pytest.mark.parametrize(("width", "stride"), [(64, 127), (65, 130)])
 def test_a_format_that_no_yuyv_camera_has_spoils_a_frame_and_not_the_flight(width: int, stride: int) -> None:
     with pytest.raises(BadImage, match="expected"):
-        decode_yuyv(memoryview(bytes(48 * stride)), width, 48, stride, grey=False)
+        seen_as(memoryview(bytes(48 * stride)), RawImage("YUYV", width, 48, stride))
+
+
+BGR = (30, 90, 200)
+
+
+def seen_as(data: memoryview, form: RawImage, *, grey: bool = False) -> np.ndarray:
+    return decode_raw(data, form, grey=grey, stretch=Stretch())
+
+
+def packed(fourcc: str, width: int, height: int, stride: int) -> bytes:
+    """A uniform image in a V4L2 format, by OpenCV's own conversion the other way."""
+    image = np.full((height, width, 3), BGR, np.uint8)
+    if fourcc in ("BGR3", "RGB3"):
+        lines = (image if fourcc == "BGR3" else image[:, :, ::-1]).reshape(height, -1)
+    elif fourcc in ("NV12", "NV21"):
+        y, u, v = np.split(
+            cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420).ravel(), [height * width, height * width * 5 // 4]
+        )
+        pair = (u, v) if fourcc == "NV12" else (v, u)
+        lines = np.concatenate([y, np.stack(pair, axis=1).ravel()]).reshape(-1, width)
+    else:
+        code = {
+            "YUYV": cv2.COLOR_BGR2YUV_YUYV,
+            "UYVY": cv2.COLOR_BGR2YUV_UYVY,
+            "YVYU": cv2.COLOR_BGR2YUV_YVYU,
+        }[fourcc]
+        lines = cv2.cvtColor(image, code).reshape(height, -1)
+    return np.pad(lines, ((0, 0), (0, stride - lines.shape[1]))).tobytes()
+
+
+@pytest.mark.parametrize("fourcc", ["YUYV", "UYVY", "YVYU", "NV12", "NV21", "BGR3", "RGB3"])
+@pytest.mark.parametrize("padding", [0, 16])
+def test_each_format_gives_the_colours_that_went_in(fourcc: str, padding: int) -> None:
+    used = {"NV12": 8, "NV21": 8, "BGR3": 24, "RGB3": 24}.get(fourcc, 16)
+    data = memoryview(packed(fourcc, 8, 6, used + padding))
+    seen = seen_as(data, RawImage(fourcc, 8, 6, (used + padding) if padding else 0))
+    assert seen.shape == (6, 8, 3)
+    assert np.abs(seen.astype(int) - BGR).max() <= 6
+    assert seen_as(data, RawImage(fourcc, 8, 6, used + padding), grey=True).shape == (6, 8)
+    for cut in (0, 1, len(data) - 1):
+        with pytest.raises(BadImage, match="expected"):
+            seen_as(data[:cut], RawImage(fourcc, 8, 6, used + padding))
+
+
+def test_sixteen_bits_of_a_thermal_camera_are_stretched() -> None:
+    image = np.full((48, 64), 7600, "<u2")
+    image[10:20, 10:20] = 8100
+    seen = seen_as(memoryview(image.tobytes()), RawImage("Y16", 64, 48, 128))
+    assert int(seen[15, 15]) - int(seen[40, 40]) > 200

@@ -10,10 +10,11 @@ import pytest
 
 from support.mutants import MUTANTS, mutants
 from swarmtrack.detection import model as model_file
-from swarmtrack.detection.description import Declared, Trial, describe
+from swarmtrack.detection.description import Declared, describe
 from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.metadata import LONGEST_ENTRY
 from swarmtrack.detection.model import metadata_of, model_path
+from swarmtrack.detection.readings import Trial
 from swarmtrack.errors import ModelError
 
 TRIAL = Trial((96, 64), ((1, 1, 16, 24), (1, 2, 16, 24), (1, 2, 16, 24)))
@@ -140,5 +141,5 @@ def test_a_net_that_never_answers_is_given_up(tmp_path, monkeypatch):
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
     path = tmp_path / "endless.onnx"
     onnx.save(model, str(path))
-    with pytest.raises(ModelError, match=r"no answer within 0\.3 s to an empty image of 96x64"):
+    with pytest.raises(ModelError, match=r"no answer within 0\.3 s to a trial image of 96x64"):
         Detector(path)

@@ -136,6 +136,7 @@ PRODUCED = {
     "camera.busy": lambda: camera("/dev/video0: busy, held by cheese (pid 7)", ok=False, frames=0),
     "camera.unreachable": lambda: camera("cannot connect to pi port 80: refused; trying again", ok=False),
     "camera.silent": lambda: camera("UVC: YUYV 640x480; waiting for the first frame", ok=False, frames=0),
+    "camera.garbled": lambda: camera("bytes come, but no picture: no line holds the boundary", ok=False, frames=0),
     "camera.size": lambda: camera("frames are 64x48, the calibration is for 640x480: set", ok=False),
     "camera.stale": lambda: camera(counters=late(900.0)),
     "camera.broken": lambda: camera("the driver reports an error", ok=False),
@@ -252,6 +253,34 @@ def test_advice_is_of_the_autopilot_and_of_the_link_at_hand(name, link, kind):
         link == SERIAL and kind == ARDUPILOT and name == "autopilot.losing"
     )
     assert ("IMU_INTEG_RATE" in remedy) == (kind == PX4 and name != "autopilot.losing")
+
+
+@pytest.mark.parametrize("kind", ["v4l2", "http", "https", "rtsp", "file", "images", "detections"])
+def test_advice_is_for_the_kind_of_camera_at_hand(kind):
+    """USB and fourcc are of V4L2, browsers and Wi-Fi of HTTP."""
+    said = [
+        camera("waiting for the first frame", ok=False, frames=0, kind=kind),
+        camera(
+            "frames come, but no picture can be read from them; the last: x", ok=False, frames=0, kind=kind
+        ),
+        camera("frames are 64x48, the calibration is for 640x480: set", ok=False, kind=kind),
+        camera(counters={**late(20.0), "corrupt": 20}, kind=kind),
+        camera(counters=late(300.0), kind=kind),
+        camera(stamps=frozenset({StampKind.ARRIVAL}), kind=kind),
+    ]
+    live = ("v4l2", "http", "https", "rtsp", "detections")
+    words = " ".join(finding.remedy for (finding,) in said) if kind in live else said[2][0].remedy
+    assert ("fourcc=" in words) == (kind == "v4l2")
+    assert ("browser" in words) == kind.startswith("http")
+    assert ("X-Timestamp" in words) == kind.startswith("http")
+    assert ("player" in words) == (kind == "rtsp")
+    assert ("resize=1" in words) == (kind in ("file", "images"))
+
+
+def test_stamps_of_another_clock_are_named_with_their_offset():
+    text = "streaming; 15.0 fps; stamps are not used: their clock is 1.2 s behind UTC, expected -5 to +500 ms"
+    (finding,) = camera(text, stamps=frozenset({StampKind.ARRIVAL}), kind="http")
+    assert "their clock is 1.2 s behind UTC" in finding.found
 
 
 def test_a_port_that_is_no_uart_is_not_told_of_baud_rates():

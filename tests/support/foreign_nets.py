@@ -154,3 +154,45 @@ def ours(head: str, *names: str, **more: str) -> dict[str, str]:
         **more,
     }
     return {f"swarmtrack.{key}": text for key, text in entries.items()}
+
+
+def answering(
+    path: Path,
+    outputs: Mapping[str, NDArray[Any]],
+    *,
+    size: tuple[int, int] = (160, 128),
+    channels: int = 3,
+    sizes: str | None = None,
+    written: Mapping[str, str] | None = None,
+    shape: Sequence[int] | None = None,
+) -> Path:
+    """Writes a net that answers the same to every image. sizes: name of a second input, the image's size; shape: of the
+    image, instead of (1, channels, height, width) of `size`."""
+    width, height = size
+    image = helper.make_tensor_value_info("images", TensorProto.FLOAT, shape or [1, channels, height, width])
+    inputs, nodes = [image], [helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0)]
+    if sizes is not None:
+        inputs.append(helper.make_tensor_value_info(sizes, TensorProto.INT64, [1, 2]))
+        nodes.append(helper.make_node("Identity", [sizes], ["unused"]))
+    constants = [numpy_helper.from_array(np.float32(0.0), "zero")]
+    nodes.append(helper.make_node("Mul", ["most", "zero"], ["nothing"]))
+    infos = []
+    for name, values in outputs.items():
+        constants.append(numpy_helper.from_array(values, f"{name}_is"))
+        real = values.dtype.kind == "f"
+        nodes.append(
+            helper.make_node(
+                "Add" if real else "Identity", [f"{name}_is", "nothing"] if real else [f"{name}_is"], [name]
+            )
+        )
+        infos.append(
+            helper.make_tensor_value_info(name, helper.np_dtype_to_tensor_dtype(values.dtype), values.shape)
+        )
+    model = helper.make_model(
+        helper.make_graph(nodes, "answer", inputs, infos, constants),
+        opset_imports=[helper.make_opsetid("", OPSET)],
+        ir_version=8,
+    )
+    helper.set_model_props(model, dict(written or {}))
+    path.write_bytes(model.SerializeToString())
+    return path

@@ -7,6 +7,8 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from typing import TypeVar
 
+import cv2
+import numpy as np
 import pytest
 from aiohttp import web
 
@@ -117,3 +119,17 @@ def assert_two_are_stamped(times: Sequence[float], now: float, after: float) -> 
 
 def counters(source: Camera | DetectionSource) -> dict[str, float]:
     return dict(source.status().counters)
+
+
+def jpeg(level: int, width: int = 64, height: int = 48) -> bytes:
+    """A grey image."""
+    encoded: bytes = cv2.imencode(".jpg", np.full((height, width, 3), level, np.uint8))[1].tobytes()
+    return encoded
+
+
+def part(body: bytes, *headers: str, length: bool = True) -> bytes:
+    """A part of a stream with the boundary `frame`."""
+    lines = ["--frame", "Content-Type: image/jpeg", *headers]
+    if length:
+        lines.append(f"Content-Length: {len(body)}")
+    return "\r\n".join(lines).encode() + b"\r\n\r\n" + body + b"\r\n"

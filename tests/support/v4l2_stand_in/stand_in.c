@@ -10,7 +10,7 @@
  *   busy 0         1: somebody else streams: EBUSY
  *   open_errno 0   what open fails with
  *   driver NAME    of QUERYCAP
- *   formats LIST   offered, of GREY,YUYV,MJPG,H264
+ *   formats LIST   offered, of GREY,YUYV,UYVY,NV12,MJPG,H264 and others that are not filled
  *   width, height  the only size there is; 0: any
  *   fps 30
  *   lead_us 12000  from the stamp (start of exposure) to delivery
@@ -19,7 +19,7 @@
  *   damaged 0      1: buffers carry the error flag
  *   jpeg FILE      the image of MJPG
  *
- * Frames of GREY and YUYV are uniform with luma 4 * sequence modulo 256. The sequence counts exposures: one for which no
+ * Frames of GREY, YUYV, UYVY and NV12 are uniform with luma 4 * sequence modulo 256. The sequence counts exposures: one for which no
  * buffer was queued is missing from it. As in the kernel, a filled buffer waits until it is taken.
  *
  * The file descriptor is the reading end of a pipe that holds a byte for each filled buffer, so poll and epoll work.
@@ -124,7 +124,10 @@ static uint32_t expose(struct device *d, uint8_t *image, const struct script *s)
         return bytes;
     }
     memset(image, 128, d->pix.sizeimage);
-    for (size_t at = 0; at < d->pix.sizeimage; at += d->pix.pixelformat == V4L2_PIX_FMT_YUYV ? 2 : 1) image[at] = luma;
+    uint32_t format = d->pix.pixelformat;
+    size_t step = format == V4L2_PIX_FMT_YUYV || format == V4L2_PIX_FMT_UYVY ? 2 : 1;
+    size_t end = format == V4L2_PIX_FMT_NV12 ? (size_t)d->pix.bytesperline * d->pix.height : d->pix.sizeimage;
+    for (size_t at = format == V4L2_PIX_FMT_UYVY; at < end; at += step) image[at] = luma;
     return d->pix.sizeimage;
 }
 
@@ -191,9 +194,10 @@ static void negotiate(struct device *d, const struct v4l2_pix_format *asked, con
     pix->field = V4L2_FIELD_NONE;
     pix->colorspace = V4L2_COLORSPACE_SRGB;
     /* Lines are padded as real drivers pad them. */
-    if (format == V4L2_PIX_FMT_YUYV) pix->bytesperline = (pix->width * 2 + 63) / 64 * 64;
-    if (format == V4L2_PIX_FMT_GREY) pix->bytesperline = (pix->width + 63) / 64 * 64;
+    if (format == V4L2_PIX_FMT_YUYV || format == V4L2_PIX_FMT_UYVY) pix->bytesperline = (pix->width * 2 + 63) / 64 * 64;
+    if (format == V4L2_PIX_FMT_GREY || format == V4L2_PIX_FMT_NV12) pix->bytesperline = (pix->width + 63) / 64 * 64;
     pix->sizeimage = pix->bytesperline ? pix->bytesperline * pix->height : JPEG_ROOM;
+    if (format == V4L2_PIX_FMT_NV12) pix->sizeimage = pix->sizeimage * 3 / 2;
 }
 
 static int stop_streaming(struct device *d) {

@@ -1,0 +1,82 @@
+"""Clock of a stream's stamps: which of ours they are on, if on any.
+
+A stamp near a clock of ours need not be of it: a camera's uptime is near ours if both were switched on together, and
+a camera without NTP may be a second behind. What tells is the least age over some frames. A true stamp is older than
+its arrival by the camera's latency, which some frame shows without a queue: more than nothing, less than what makes
+frames useless. Outside of that the stamps are of another clock. CLOCK_MONOTONIC is one machine's: only a sender on ours
+can have it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+from swarmtrack.camera_sources.limits import (
+    HTTP_LEAST_AGE_S,
+    HTTP_MONOTONIC_SIGMA_S,
+    HTTP_STAMP_WINDOW_S,
+    HTTP_UTC_SIGMA_S,
+    STAMPS_COMPARED,
+)
+from swarmtrack.clock import Clock
+
+SAME_DAY_S = 86400.0
+
+
+class _OurClock(NamedTuple):
+    """One that stamps may be on. ages: of the last frames [s]."""
+
+    name: str
+    sigma: float
+    ages: deque[float]
+
+
+class StampClock:
+    """Judges the stamps of one connection. problem: why they are not used, or empty."""
+
+    def __init__(self, clock: Clock, *, same_machine: bool) -> None:
+        self._clock = clock
+        self.problem = ""
+        self._monotonic = _OurClock("this machine's monotonic clock", HTTP_MONOTONIC_SIGMA_S, _ages())
+        self._utc = _OurClock("UTC", HTTP_UTC_SIGMA_S, _ages())
+        self._candidates = [self._monotonic, self._utc] if same_machine else [self._utc]
+
+    def exposure(self, stamp: float, arrived: float) -> tuple[float, float] | None:
+        """(exposure [s] on our monotonic clock, its standard deviation [s]); None where the stamp is on no clock of
+        ours. stamp [s]: from the stream, NaN for one that is no number; arrived: on our clock.
+        """
+        low, high = HTTP_LEAST_AGE_S
+        now = self._clock.now()
+        nearest: tuple[float, _OurClock] | None = None
+        for ours in self._candidates:
+            clock_now = now if ours is self._monotonic else self._clock.utc()
+            age = arrived - now + clock_now - stamp
+            if abs(age) < HTTP_STAMP_WINDOW_S:
+                ours.ages.append(age)
+                if low <= min(ours.ages) <= high:
+                    self.problem = ""
+                    return arrived - age, ours.sigma
+                age = min(ours.ages)
+            if not math.isnan(age) and (nearest is None or abs(age) < abs(nearest[0])):
+                nearest = age, ours
+        self.problem = "they are no numbers of seconds" if nearest is None else _apart(*nearest)
+        for unit, per_second in (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9)):
+            if abs(stamp / per_second - self._clock.utc()) < SAME_DAY_S:
+                self.problem = f"they are {unit}, expected seconds"
+        return None
+
+
+def _ages() -> deque[float]:
+    return deque(maxlen=STAMPS_COMPARED)
+
+
+def _apart(age: float, ours: _OurClock) -> str:
+    low, high = HTTP_LEAST_AGE_S
+    way = "behind" if age > 0.0 else "ahead of"
+    count = f"{len(ours.ages)} frame{'s' if len(ours.ages) > 1 else ''}"
+    youngest = f" by the youngest of {count}" if abs(age) < HTTP_STAMP_WINDOW_S else ""
+    found = f"their clock is {abs(age):.3g} s {way} {ours.name}{youngest}"
+    found += ", or the stream is that late" if 0.0 < age < HTTP_STAMP_WINDOW_S else ""
+    return f"{found}, expected {1e3 * low:+.0f} to {1e3 * high:+.0f} ms"
