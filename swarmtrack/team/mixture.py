@@ -243,7 +243,7 @@ class JointMixture:
     def by_motion(
         self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], t: float, known: OwnKnowledge
     ) -> Array:
-        """Probability (n, m) that each track is each teammate, if all starts were unknown, by the likeliest components."""
+        """Probability (n, m) of each track and teammate if all starts were unknown, by the likeliest components."""
         weights = self.weight if self.weight.any() else np.eye(len(self.errors))[0]
         used = np.sort(np.argsort(-weights)[:PROOF_COMPONENTS])
         R = np.full((len(used), len(tracks), len(mates)), -np.inf)
