@@ -280,7 +280,7 @@ class Onboard:
             pose,
             scan_ages=self._stuck.ages(now),
             clash=self._identities.has_own_clash,
-            doubted=self.self_doubt,
+            doubted=self.self_doubt or self._ego.heading.doubt > 0.0,
             height_sights=self._metres.height_sights,
         )
 
@@ -324,8 +324,9 @@ class Onboard:
             turned = self._ego.step_heading(pose.t, step)
             self._identities.step_heading(pose.t, turned)
             self._flight.step_heading(pose.t)
-        aligned = self._ego.heading.is_aligned(pose.t)
-        news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned)
+        heading = self._ego.heading
+        aligned = heading.is_aligned(pose.t)
+        news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned, doubt=heading.doubt)
         if news is not None:
             self._events.append(news)
 

@@ -200,7 +200,7 @@ class EgoHistory:
         """By t the estimator's heading has stepped by so much [rad], and the drone has not: where the team frame was
         connected by a measured heading, it stays where it was. A jump that was seen here counts once. Returns by how
         much the axes have turned in which this drone sees others [rad], clockwise from above."""
-        self.heading.step(t)
+        self.heading.step(t, step)
         if self.start is None:
             return step
         if t - self._jumped_at > YAW_COMPARED_WITHIN_S:

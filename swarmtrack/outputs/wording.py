@@ -62,6 +62,11 @@ def fault_in_words(fault: OwnFault) -> str:
 
 def describe(news: News) -> str:
     match news:
+        case HeadingNews(step=step, doubt=doubt) if step and doubt:
+            return (
+                f"our heading was reset by {math.degrees(step):+.1f}° against the gyro: the old one or the new one is "
+                f"wrong, so until we land it counts as known to ±{math.degrees(doubt):.0f}°; announced again"
+            )
         case HeadingNews(step=step) if step:
             return f"our heading stepped by {math.degrees(step):+.1f}° against the gyro: announced again"
         case HeadingNews():

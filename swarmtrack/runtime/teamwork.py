@@ -256,10 +256,11 @@ class Teamwork:
 
     def on_heading(self, news: HeadingNews) -> None:
         """What the team was told of our pose was told with another heading: announce it again."""
-        if not self._announced:
-            return
-        self._note(self._drone_id, describe(news), logging.INFO)
-        self._asked.set()
+        if news.doubt or self._announced:
+            level = logging.WARNING if news.doubt else logging.INFO
+            self._note(self._drone_id, describe(news), level)
+        if self._announced:
+            self._asked.set()
 
     def on_astray(self, found: Astray) -> None:
         """A teammate is not where it says, by how it moves."""
