@@ -23,6 +23,9 @@ RECORDS_PER_TURN = 200
 DATAGRAMS_PER_TURN = 200
 # Between two records, or from a log's middle to its ends; what claims more is no stamp.
 LONGEST_RECORDING_S = 86_400.0
+# Telemetry logs (`tlog`): stamps of neighbours that are farther apart are a pause, or a step of the log's clock; and
+# how much of the log on either side tells which.
+TLOG_PAUSE_S, TLOG_WINDOW_S, TLOG_WINDOW_RECORDS = 0.5, 5.0, 1000
 # Of a stream: the rest of a frame would have come, so its header was false.
 FRAME_FLUSH_AFTER_S = 0.05
 

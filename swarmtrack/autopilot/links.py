@@ -14,11 +14,10 @@ import logging
 import math
 import mmap
 import os
-import re
 import socket
 import termios
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
@@ -29,11 +28,11 @@ from swarmtrack.autopilot.datagrams import Address, DatagramSocket, open_socket
 from swarmtrack.autopilot.limits import (
     LINK_CONNECT_TIMEOUT_S,
     LINK_SEND_BUFFER_BYTES,
-    LONGEST_RECORDING_S,
     RECORDS_PER_TURN,
     SERIAL_READ_BYTES,
     UDP_PEER_SILENT_S,
 )
+from swarmtrack.autopilot.tlog import records
 from swarmtrack.autopilot.ulog import read_ulog
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
@@ -449,10 +448,22 @@ class RecordingLink(ABC):
 class TlogLink(RecordingLink):
     """A recording of a ground station: 8 bytes of big-endian UTC microseconds before each frame."""
 
+    # Some programs write whatever they have read.
+    datagrams = False
+
     async def run(self, receiver: Receiver) -> None:
         with self._map() as data:
             receiver.opened()
-            await self._play(records(data), receiver)
+            await self._play(records(data, self._on_step), receiver)
+
+    def _on_step(self, at: float, by: float) -> None:
+        log.warning(
+            "%s: the clock of the computer that wrote it was set by %+.1f s at %.1f s: its times go on by the "
+            "autopilot's clock",
+            self.address,
+            by,
+            at,
+        )
 
     def _map(self) -> mmap.mmap:
         try:
@@ -469,32 +480,6 @@ class UlogLink(RecordingLink):
         flight = read_ulog(Path(self.address.path))
         receiver.opened()
         await self._play(flight.records, receiver)
-
-
-STAMP_LENGTH = 8
-# A stamp of the years 2004 … 2100 in microseconds with a magic byte behind it.
-RECORD = re.compile(rb"\x00[\x03-\x0e].{6}[\xfd\xfe]", re.DOTALL)
-
-
-def records(data: mmap.mmap | bytes) -> Iterator[tuple[float, bytes]]:
-    """(UTC [s], bytes) of each record of a telemetry log.
-
-    A record ends where the next plausible stamp stands with a magic byte behind it, not where its own header claims:
-    so a damaged one costs no other. Whether the bytes are a frame is the framer's to judge.
-    """
-    last: tuple[float, int] | None = None  # stamp, and where the bytes after it begin
-    position = 0
-    while (match := RECORD.search(data, position)) is not None:
-        start = match.start()
-        stamp = int.from_bytes(data[start : start + STAMP_LENGTH], "big") * 1e-6
-        position = start + 1
-        if last is None or abs(stamp - last[0]) < LONGEST_RECORDING_S:
-            if last is not None:
-                yield last[0], data[last[1] : start]
-            position = start + STAMP_LENGTH
-            last = (stamp, position)
-    if last is not None:
-        yield last[0], data[last[1] :]
 
 
 class Holder:

@@ -26,9 +26,9 @@ from swarmtrack.autopilot import links
 from swarmtrack.autopilot.address import LinkAddress
 from swarmtrack.autopilot.engagement import PilotEngagement
 from swarmtrack.autopilot.global_position import GlobalPosition
-from swarmtrack.autopilot.links import records
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
+from swarmtrack.autopilot.tlog import records
 from swarmtrack.clock import ManualClock
 from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
 from swarmtrack.errors import SourceError
