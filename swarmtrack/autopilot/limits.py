@@ -23,9 +23,17 @@ RECORDS_PER_TURN = 200
 DATAGRAMS_PER_TURN = 200
 # Between two records, or from a log's middle to its ends; what claims more is no stamp.
 LONGEST_RECORDING_S = 86_400.0
+# Beyond it a counter of milliseconds does not fit into 32 bits; what says more counts from 1970.
+LONGEST_UPTIME_S = 4.2e6
 # Telemetry logs (`tlog`): stamps of neighbours that are farther apart are a pause, or a step of the log's clock; and
 # how much of the log on either side tells which.
 TLOG_PAUSE_S, TLOG_WINDOW_S, TLOG_WINDOW_RECORDS = 0.5, 5.0, 1000
+# Logs (`log_files`): of the processor's time before a file is given up; ten times what was measured.
+LOG_READ_S, LOG_READ_S_PER_MB = 1.5, 2.0
+# Of a ULog's definitions (`ulog_definitions`): PX4's largest topic has some 200 fields, its deepest two formats within.
+ULOG_MOST_FIELDS, ULOG_DEEPEST_FORMAT = 1024, 8
+# Bytes, of one definition of an unknown type; and of what is no definition, over which it is looked for the next one.
+ULOG_LARGEST_DEFINITION, ULOG_MOST_DAMAGED_BYTES = 10_000, 10_000
 # Of a stream: the rest of a frame would have come, so its header was false.
 FRAME_FLUSH_AFTER_S = 0.05
 

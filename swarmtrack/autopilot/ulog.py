@@ -7,6 +7,8 @@ that the log holds at a higher rate than an agent requests are thinned to that r
 
 from __future__ import annotations
 
+import contextlib
+import io
 import logging
 import math
 import struct
@@ -17,15 +19,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.limits import LONGEST_RECORDING_S, ULOG_POSES_HZ
+from swarmtrack.autopilot.limits import LONGEST_RECORDING_S, LONGEST_UPTIME_S, ULOG_POSES_HZ
+from swarmtrack.autopilot.log_files import check_kind, time_limit
+from swarmtrack.autopilot.ulog_definitions import check_definitions
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.messages import Array
 
 journal = logging.getLogger(__name__)
 
-ULOG_MAGIC = b"ULog\x01\x12\x35"
-DATAFLASH = b"\xa3\x95"  # ArduPilot's .bin
 ULOG_UNKNOWN = 65535  # of a velocity, a course, a heading
 MAX_ACCURACY_MM = 2**32 - 1
 ARMED = 2  # vehicle_status.arming_state
@@ -57,16 +59,19 @@ def read_ulog(path: Path) -> UlogFlight:
     from pyulog import ULog  # noqa: PLC0415  (an agent in flight does not pay for it)
     from pyulog.exceptions import ULogException  # noqa: PLC0415
 
-    _check_magic(path)
+    check_kind(path, "ulog")
     # What pyulog raises on bytes that are no log, its own error and whatever they mislead it to; and a topic that lacks
     # a column.
     try:
-        log = ULog(str(path), list(ULOG_TOPICS))
+        check_definitions(path)
+        with time_limit(path), contextlib.redirect_stdout(io.StringIO()):
+            log = ULog(str(path), list(ULOG_TOPICS))
         topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data["timestamp"])}
         gps = next((topics[name] for name in GPS_TOPICS if name in topics), None)
-        said = sorted(_said(topics, gps), key=lambda message: message[0])
         offset = _utc_offset(gps)
-    except (ULogException, OSError, struct.error, ValueError, TypeError, LookupError) as error:
+        begin = _count_from_boot(topics.values())
+        said = sorted(_said(topics, gps), key=lambda message: message[0])
+    except (ULogException, OSError, struct.error, ValueError, TypeError, LookupError, MemoryError) as error:
         raise SourceError(f"{path}: is broken or cut off in its header, expected a ULog ({error})") from None
     if not any(name in topics for name in GYRO_TOPICS):
         raise SourceError(
@@ -78,7 +83,22 @@ def read_ulog(path: Path) -> UlogFlight:
     system = _system(log.initial_parameters.get("MAV_SYS_ID"))
     mav = common.MAVLink(None, system, common.MAV_COMP_ID_AUTOPILOT1)
     records = [(t, frame) for t, message in said if (frame := _frame(mav, message))]
-    return UlogFlight(records, offset, system)
+    return UlogFlight(records, None if offset is None else offset + begin, system)
+
+
+def _count_from_boot(topics: Iterable[dict[str, Array]]) -> float:
+    """Make all stamps of a simulation that counts from 1970 such as those of a board, in place: in milliseconds they do
+    not fit into MAVLink's 32 bits. Returns what was taken off [s]."""
+    topics = list(topics)
+    begin = min((float(np.median(columns["timestamp"])) for columns in topics), default=0.0)
+    if begin < LONGEST_UPTIME_S * 1e6:
+        return 0.0
+    begin -= LONGEST_RECORDING_S * 1e6
+    for columns in topics:
+        for name in ("timestamp", "timestamp_sample"):
+            if name in columns:
+                columns[name] = np.asarray(columns[name], dtype=float) - begin
+    return begin * 1e-6
 
 
 def _system(parameter: object) -> int:
@@ -99,23 +119,6 @@ def _said(topics: Mapping[str, Columns], gps: Columns | None) -> Said:
     yield from _attitudes(topics.get("vehicle_attitude"))
     yield from _positions(topics.get("vehicle_local_position"))
     yield from _fixes(gps)
-
-
-def _check_magic(path: Path) -> None:
-    try:
-        with path.open("rb") as file:
-            begin = file.read(len(ULOG_MAGIC))
-    except OSError as error:
-        raise SourceError(f"{path}: cannot be read ({error.strerror}), expected a ULog of PX4") from None
-    if begin.startswith(DATAFLASH):
-        raise SourceError(
-            f"{path}: is a DataFlash log of ArduPilot, which is not supported, expected a ULog of PX4 (.ulg), or the "
-            "ground station's telemetry log of the same flight (.tlog)"
-        )
-    if begin != ULOG_MAGIC:
-        raise SourceError(
-            f"{path}: is not a ULog (it begins with {begin.hex(' ')}), expected a log of PX4 (.ulg)"
-        )
 
 
 def _frame(mav: Any, message: Any) -> bytes:
@@ -148,9 +151,12 @@ def _rows(columns: Columns, *names: str) -> Iterator[list[Any]]:
 
 
 def _thinned(rows: Iterable[list[Any]]) -> Iterator[list[Any]]:
+    """At most as many as an agent requests."""
+    rows = list(rows)
+    often = len(rows) > 1 and (len(rows) - 1) / ULOG_POSES_HZ > rows[-1][0] - rows[0][0]
     last = -np.inf
     for row in rows:
-        if row[0] - last > 0.9 / ULOG_POSES_HZ:
+        if not often or row[0] - last > 0.9 / ULOG_POSES_HZ:
             last = row[0]
             yield row
 

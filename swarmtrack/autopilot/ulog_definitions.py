@@ -1,0 +1,99 @@
+"""A ULog's definitions, checked in front of the library that reads it.
+
+The library writes each format out field by field, nested ones within, and steps back where a length is impossible. So
+two thousand bytes make it work for ever: a format within itself, arrays of arrays of arrays, a length that leads beyond
+the end.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from swarmtrack.autopilot.limits import (
+    ULOG_DEEPEST_FORMAT,
+    ULOG_LARGEST_DEFINITION,
+    ULOG_MOST_DAMAGED_BYTES,
+    ULOG_MOST_FIELDS,
+)
+from swarmtrack.errors import SourceError
+
+HEADER_LENGTH = 16
+# Types of messages: of the definitions; and of what ends them.
+DEFINITIONS, ENDS = frozenset(b"BFIMPQ"), frozenset(b"ALC")
+BASIC = frozenset(
+    (
+        "int8_t",
+        "uint8_t",
+        "int16_t",
+        "uint16_t",
+        "int32_t",
+        "uint32_t",
+        "int64_t",
+        "uint64_t",
+        "float",
+        "double",
+    )
+) | {"bool", "char"}
+
+Format = Sequence[tuple[str, int]]  # of each field: its type, and how many
+
+
+def check_definitions(path: Path) -> None:
+    """Raises SourceError where a log's definitions are damaged, or such as no PX4 has."""
+    formats = _formats(path)
+    fields: dict[str, int] = {}
+    for name in formats:
+        _count(path, formats, name, fields, ())
+
+
+def _formats(path: Path) -> dict[str, Format]:
+    data = path.read_bytes()
+    position, damaged = HEADER_LENGTH, 0
+    formats: dict[str, Format] = {}
+    while position + 3 <= len(data):
+        length, kind = struct.unpack_from("<HB", data, position)
+        end = position + 3 + length
+        if kind in ENDS:
+            break
+        if kind not in DEFINITIONS and (kind == 0 or not 0 < length <= ULOG_LARGEST_DEFINITION):
+            damaged += 1
+            if end > len(data) or damaged > ULOG_MOST_DAMAGED_BYTES:
+                raise SourceError(
+                    f"{path}: is broken or cut off in its header, at byte {position}, expected a ULog of PX4"
+                )
+            position += 1
+            continue
+        if kind == ord("F"):
+            name, _, text = data[position + 3 : end].decode("utf-8", "replace").partition(":")
+            formats[name] = [_field(field) for field in text.split(";") if field]
+        position = end
+    return formats
+
+
+def _field(text: str) -> tuple[str, int]:
+    kind, bracket, count = text.split(" ", maxsplit=1)[0].partition("[")
+    digits = count.rstrip("]")
+    return kind, int(digits) if bracket and digits.isdecimal() and len(digits) < 9 else 1
+
+
+def _count(
+    path: Path, formats: Mapping[str, Format], name: str, known: dict[str, int], within: tuple[str, ...]
+) -> int:
+    """Fields of a format, with those of the formats in it; known: those counted already."""
+    if name in known or name in BASIC or name not in formats:
+        return known.get(name, 1)
+    if name in within:
+        raise SourceError(f"{path}: format {name} contains itself, expected a ULog of PX4")
+    if len(within) == ULOG_DEEPEST_FORMAT:
+        raise SourceError(
+            f"{path}: format {within[0]} nests others more than {ULOG_DEEPEST_FORMAT} deep, expected a ULog of PX4"
+        )
+    total = sum(count * _count(path, formats, kind, known, (*within, name)) for kind, count in formats[name])
+    if total > ULOG_MOST_FIELDS:
+        raise SourceError(
+            f"{path}: format {name} has {total} fields, expected a ULog of PX4, with {ULOG_MOST_FIELDS} at most"
+        )
+    known[name] = total
+    return total
