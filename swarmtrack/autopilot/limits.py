@@ -84,8 +84,12 @@ GPS_FIX_HZ = 5.0
 RANGE_FINDER_HZ = 4.0
 PILOT_SWITCH_HZ = 5.0
 CURRENT_MODE_HZ = 5.0
-# Poses that are made of a ULog.
-ULOG_POSES_HZ = 50.0
+# Above the sea: what says more is damaged.
+HIGHEST_PLACE_M = 1e5
+# Between two logged places of which a velocity is made.
+POSITION_GAP_S = 0.5
+# Poses that are made of an autopilot's own log.
+LOGGED_POSES_HZ = 50.0
 # Of what the line carries may be ours; the rest is for parameters and other programs.
 LINE_SHARE = 0.7
 

@@ -17,13 +17,15 @@ import os
 import socket
 import termios
 from abc import ABC, abstractmethod
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
 import serial
 
 from swarmtrack.autopilot.address import LinkAddress, parse_address
+from swarmtrack.autopilot.dataflash import read_dataflash
 from swarmtrack.autopilot.datagrams import Address, DatagramSocket, open_socket
 from swarmtrack.autopilot.limits import (
     LINK_CONNECT_TIMEOUT_S,
@@ -32,12 +34,16 @@ from swarmtrack.autopilot.limits import (
     SERIAL_READ_BYTES,
     UDP_PEER_SILENT_S,
 )
+from swarmtrack.autopilot.log_files import check_kind
+from swarmtrack.autopilot.logged_flight import LoggedFlight
 from swarmtrack.autopilot.tlog import records
 from swarmtrack.autopilot.ulog import read_ulog
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 
 log = logging.getLogger(__name__)
+
+LOG_READERS: dict[str, Callable[[Path], LoggedFlight]] = {"ulog": read_ulog, "bin": read_dataflash}
 
 
 class LinkDown(Exception):
@@ -105,8 +111,8 @@ def open_link(address: str, clock: Clock) -> Link:
             return SerialLink(parsed, clock)
         case "tlog":
             return TlogLink(parsed, clock)
-        case "ulog":
-            return UlogLink(parsed, clock)
+        case "ulog" | "bin":
+            return LoggedLink(parsed, clock)
         case "none":
             return NoLink(parsed)
 
@@ -466,6 +472,7 @@ class TlogLink(RecordingLink):
         )
 
     def _map(self) -> mmap.mmap:
+        check_kind(Path(self.address.path), "tlog")
         try:
             with Path(self.address.path).open("rb") as file:
                 return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -473,13 +480,24 @@ class TlogLink(RecordingLink):
             raise SourceError(f"autopilot link {self.address}: {error}") from error
 
 
-class UlogLink(RecordingLink):
-    """PX4's own log, as the telemetry it would have sent meanwhile."""
+class LoggedLink(RecordingLink):
+    """An autopilot's own log, as the telemetry it would have sent meanwhile."""
 
     async def run(self, receiver: Receiver) -> None:
-        flight = read_ulog(Path(self.address.path))
+        flight = read_log(self.address.scheme, Path(self.address.path))
+        _read_log.cache_clear()
         receiver.opened()
         await self._play(flight.records, receiver)
+
+
+def read_log(scheme: str, path: Path) -> LoggedFlight:
+    """An autopilot's own log. The last one is kept until it is played."""
+    return _read_log(scheme, path, path.stat().st_mtime_ns)
+
+
+@lru_cache(maxsize=1)
+def _read_log(scheme: str, path: Path, changed_ns: int) -> LoggedFlight:
+    return LOG_READERS[scheme](path)
 
 
 class Holder:

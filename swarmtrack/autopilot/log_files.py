@@ -11,6 +11,7 @@ from types import FrameType
 from typing import NamedTuple, NoReturn
 
 from swarmtrack.autopilot.limits import LOG_READ_S, LOG_READ_S_PER_MB
+from swarmtrack.autopilot.tlog import STAMP_AND_MAGIC, STAMP_LENGTH
 from swarmtrack.errors import SourceError
 
 ULOG_MAGIC = b"ULog\x01\x12\x35"
@@ -24,13 +25,13 @@ class LogKind(NamedTuple):
     name: str
 
 
-KINDS = {
+LOG_KINDS = {
     "tlog": LogKind("tlog", "a ground station's telemetry log (.tlog)"),
     "ulog": LogKind("ulog", "a ULog of PX4 (.ulg)"),
     "bin": LogKind("bin", "a DataFlash log of ArduPilot (.bin)"),
 }
 # What else people have, and what to do with it.
-OTHERS = {
+OTHER_FILES = {
     b"FMT, ": "is a DataFlash log that was turned into text, expected the .bin that it was made of",
     b"PK\x03\x04": "is a ZIP archive, expected the log in it",
     b"\x1f\x8b": "is compressed by gzip, expected the log in it",
@@ -44,10 +45,10 @@ OTHERS = {
 
 def check_kind(path: Path, scheme: str) -> None:
     """Raises SourceError for a file that cannot be read, or is of another kind than its scheme's."""
-    wanted = KINDS[scheme]
+    wanted = LOG_KINDS[scheme]
     try:
         with path.open("rb") as file:
-            begin = file.read(8)
+            begin = file.read(STAMP_LENGTH + 1)
     except OSError as error:
         raise SourceError(f"{path}: cannot be read ({error.strerror}), expected {wanted.name}") from None
     found = _kind(begin)
@@ -56,7 +57,7 @@ def check_kind(path: Path, scheme: str) -> None:
             f"{path}: is {found.name}, expected {wanted.name}: import it with --{found.scheme}, or write its "
             f"address as {found.scheme}:FILE"
         )
-    other = next((text for magic, text in OTHERS.items() if begin.startswith(magic)), None)
+    other = next((text for magic, text in OTHER_FILES.items() if begin.startswith(magic)), None)
     if found is None and other is not None:
         raise SourceError(f"{path}: {other}")
     if found is None and wanted.scheme != "tlog":
@@ -64,10 +65,10 @@ def check_kind(path: Path, scheme: str) -> None:
 
 
 def _kind(begin: bytes) -> LogKind | None:
-    """None for what has no mark of its own; a telemetry log has none."""
-    if begin.startswith(ULOG_MAGIC[:4]):
-        return KINDS["ulog"]
-    return KINDS["bin"] if begin.startswith(DATAFLASH_MAGIC) else None
+    """None for what has no mark of its own: so may a telemetry log whose beginning is damaged."""
+    marks = {"ulog": begin.startswith(ULOG_MAGIC[:4]), "bin": begin.startswith(DATAFLASH_MAGIC)}
+    marks["tlog"] = STAMP_AND_MAGIC.match(begin) is not None
+    return next((LOG_KINDS[scheme] for scheme, marked in marks.items() if marked), None)
 
 
 @contextlib.contextmanager

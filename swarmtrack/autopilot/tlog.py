@@ -37,12 +37,12 @@ from swarmtrack.autopilot.limits import (
 
 STAMP_LENGTH = 8
 # A stamp of the years 1970 … 2103 in microseconds with a magic byte behind it.
-HEADER = re.compile(rb"\x00[\x00-\x0e].{6}[\xfd\xfe]", re.DOTALL)
+STAMP_AND_MAGIC = re.compile(rb"\x00[\x00-\x0e].{6}[\xfd\xfe]", re.DOTALL)
 # Bytes that a program may have read at once.
 LONGEST_RECORD = 4096
 # Nobody spoke MAVLink before: a computer that says so has never had its clock set. s of UTC, 2004.
 CLOCK_WAS_SET = 1.08e9
-AUTOPILOT_COMPONENT = common.MAV_COMP_ID_AUTOPILOT1
+
 
 Bytes = mmap.mmap | bytes
 # By message, of those that begin with a stamp: its length in the payload, and its unit [s].
@@ -61,7 +61,7 @@ class TimeBase(NamedTuple):
     unit: float
 
 
-class Record:
+class LoggedBytes:
     """stamp: UTC [s] as the log says; data: a frame, and whatever else stands there; t: stamp without the steps of the
     log's clock."""
 
@@ -99,8 +99,8 @@ def records(
     on_step: told of each step of the log's clock: s since the first record, and by how much [s].
     """
     found = _stamped_records(data)
-    past: deque[Record] = deque(maxlen=TLOG_WINDOW_RECORDS)
-    ahead: deque[Record] = deque()
+    past: deque[LoggedBytes] = deque(maxlen=TLOG_WINDOW_RECORDS)
+    ahead: deque[LoggedBytes] = deque()
     first = last = None
     shift = 0.0
     while (record := _next(ahead, found)) is not None:
@@ -124,11 +124,11 @@ def records(
         yield record.t, record.data
 
 
-def _next(ahead: deque[Record], found: Iterator[Record]) -> Record | None:
+def _next(ahead: deque[LoggedBytes], found: Iterator[LoggedBytes]) -> LoggedBytes | None:
     return ahead.popleft() if ahead else next(found, None)
 
 
-def _look_ahead(ahead: deque[Record], found: Iterator[Record], record: Record) -> None:
+def _look_ahead(ahead: deque[LoggedBytes], found: Iterator[LoggedBytes], record: LoggedBytes) -> None:
     while len(ahead) < TLOG_WINDOW_RECORDS and (not ahead or ahead[-1].stamp - record.stamp < TLOG_WINDOW_S):
         another = next(found, None)
         if another is None:
@@ -136,7 +136,7 @@ def _look_ahead(ahead: deque[Record], found: Iterator[Record], record: Record) -
         ahead.append(another)
 
 
-def _is_alone(last: Record, record: Record, ahead: deque[Record]) -> bool:
+def _is_alone(last: LoggedBytes, record: LoggedBytes, ahead: deque[LoggedBytes]) -> bool:
     """Whether the record after this one goes on where the last one was."""
     if not ahead:
         return False
@@ -145,7 +145,7 @@ def _is_alone(last: Record, record: Record, ahead: deque[Record]) -> bool:
     return -CLOCK_RESYNC_S <= elapsed <= (TLOG_WINDOW_S if goes_back else CLOCK_RESYNC_S)
 
 
-def _step(past: deque[Record], after: Iterable[Record], shift: float) -> float:
+def _step(past: deque[LoggedBytes], after: Iterable[LoggedBytes], shift: float) -> float:
     """s by which the log's clock was set in front of `after`, whose first stamp is far from the past's last; 0 for a
     pause."""
     after = tuple(after)
@@ -159,8 +159,8 @@ def _step(past: deque[Record], after: Iterable[Record], shift: float) -> float:
         base = max(
             bases,
             key=lambda base: (
-                base.component == AUTOPILOT_COMPONENT,
-                min(before[base].count, since[base].count),
+                base.component == common.MAV_COMP_ID_AUTOPILOT1,
+                min(before[base].number, since[base].number),
             ),
         )
         step = since[base].least - before[base].least
@@ -173,13 +173,13 @@ class _Delays(NamedTuple):
     """Of frames by one time base: how many, the first and last stamp [s], and how far the log's clock is ahead of them
     at least [s]."""
 
-    count: int
+    number: int
     first: float
     last: float
     least: float
 
 
-def _delays(records: Iterable[tuple[float, Record]]) -> dict[TimeBase, _Delays]:
+def _delays(records: Iterable[tuple[float, LoggedBytes]]) -> dict[TimeBase, _Delays]:
     found: dict[TimeBase, list[tuple[float, float]]] = {}
     for t, record in records:
         for base, stamp in record.own_times:
@@ -192,20 +192,22 @@ def _delays(records: Iterable[tuple[float, Record]]) -> dict[TimeBase, _Delays]:
     }
 
 
-def _stamped_records(data: Bytes) -> Iterator[Record]:
+def _stamped_records(data: Bytes) -> Iterator[LoggedBytes]:
     """The records as they stand there, whatever they hold: the framer judges that.
 
     One ends where its frame's own header says if the next stamp stands there, and else at the next plausible stamp: so
     a damaged one costs no other, and neither does one that some program has filled with a piece of a stream.
     """
-    start = next((m.start() for m in HEADER.finditer(data) if _is_record(data, m.start(), None)), None)
+    start = next(
+        (m.start() for m in STAMP_AND_MAGIC.finditer(data) if _is_record(data, m.start(), None)), None
+    )
     while start is not None:
         stamp = _stamp(data, start)
         end = _end(data, start)
-        begins = HEADER.match(data, start) is not None
+        begins = STAMP_AND_MAGIC.match(data, start) is not None
         found = begins and (_is_near(data, end, stamp) or _is_record(data, end, stamp))
         following = end if found else _search(data, start + STAMP_LENGTH, stamp)
-        yield Record(stamp, data[start + STAMP_LENGTH : following])
+        yield LoggedBytes(stamp, data[start + STAMP_LENGTH : following])
         start = following
 
 
@@ -215,10 +217,10 @@ def _stamp(data: Bytes, start: int) -> float:
 
 def _end(data: Bytes, start: int) -> int:
     """Where the record that starts there ends by its frame's own header."""
-    magic, length, flags = (*data[start + STAMP_LENGTH : start + STAMP_LENGTH + 3], 0, 0, 0)[:3]
+    magic, length, flags = [*data[start + STAMP_LENGTH : start + STAMP_LENGTH + 3], 0, 0, 0][:3]
     header = HEADER_V1 if magic == V1 else HEADER_V2
     signature = SIGNATURE_LENGTH if magic != V1 and flags & SIGNED_FRAME_FLAG else 0
-    return start + STAMP_LENGTH + header + length + CRC_LENGTH + signature
+    return int(start + STAMP_LENGTH + header + length + CRC_LENGTH + signature)
 
 
 def _is_near(data: Bytes, start: int, stamp: float) -> bool:
@@ -228,13 +230,15 @@ def _is_near(data: Bytes, start: int, stamp: float) -> bool:
 
 def _is_record(data: Bytes, start: int, last: float | None) -> bool:
     """Whether a stamp of any time stands there, with a magic byte behind it. last: the stamp before."""
-    if HEADER.match(data, start) is None:
+    if STAMP_AND_MAGIC.match(data, start) is None:
         return False
     stamp, end = _stamp(data, start), _end(data, start)
     # A payload of zeros looks like 1970, and damage like any year: then the next record must agree.
     if stamp > CLOCK_WAS_SET and (last is None or abs(stamp - last) < LONGEST_RECORDING_S):
         return True
-    follows = HEADER.match(data, end) is not None and abs(_stamp(data, end) - stamp) < LONGEST_RECORDING_S
+    follows = (
+        STAMP_AND_MAGIC.match(data, end) is not None and abs(_stamp(data, end) - stamp) < LONGEST_RECORDING_S
+    )
     return follows or end == len(data)
 
 
@@ -247,5 +251,5 @@ def _search(data: Bytes, begin: int, stamp: float) -> int | None:
         if _is_near(data, near, stamp):
             return near
         near += 1
-    found = HEADER.finditer(data, begin)
+    found = STAMP_AND_MAGIC.finditer(data, begin)
     return next((m.start() for m in found if _is_record(data, m.start(), stamp)), None)

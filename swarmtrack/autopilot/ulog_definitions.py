@@ -19,10 +19,10 @@ from swarmtrack.autopilot.limits import (
 )
 from swarmtrack.errors import SourceError
 
-HEADER_LENGTH = 16
+ULOG_HEADER = 16
 # Types of messages: of the definitions; and of what ends them.
-DEFINITIONS, ENDS = frozenset(b"BFIMPQ"), frozenset(b"ALC")
-BASIC = frozenset(
+DEFINITION_TYPES, DATA_TYPES = frozenset(b"BFIMPQ"), frozenset(b"ALC")
+BASIC_TYPES = frozenset(
     (
         "int8_t",
         "uint8_t",
@@ -50,14 +50,14 @@ def check_definitions(path: Path) -> None:
 
 def _formats(path: Path) -> dict[str, Format]:
     data = path.read_bytes()
-    position, damaged = HEADER_LENGTH, 0
+    position, damaged = ULOG_HEADER, 0
     formats: dict[str, Format] = {}
     while position + 3 <= len(data):
         length, kind = struct.unpack_from("<HB", data, position)
         end = position + 3 + length
-        if kind in ENDS:
+        if kind in DATA_TYPES:
             break
-        if kind not in DEFINITIONS and (kind == 0 or not 0 < length <= ULOG_LARGEST_DEFINITION):
+        if kind not in DEFINITION_TYPES and (kind == 0 or not 0 < length <= ULOG_LARGEST_DEFINITION):
             damaged += 1
             if end > len(data) or damaged > ULOG_MOST_DAMAGED_BYTES:
                 raise SourceError(
@@ -82,7 +82,7 @@ def _count(
     path: Path, formats: Mapping[str, Format], name: str, known: dict[str, int], within: tuple[str, ...]
 ) -> int:
     """Fields of a format, with those of the formats in it; known: those counted already."""
-    if name in known or name in BASIC or name not in formats:
+    if name in known or name in BASIC_TYPES or name not in formats:
         return known.get(name, 1)
     if name in within:
         raise SourceError(f"{path}: format {name} contains itself, expected a ULog of PX4")

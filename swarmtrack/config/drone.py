@@ -297,7 +297,7 @@ class AutopilotSection(Section):
 
     link: Text = Field(
         default="none",
-        description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE, ulog:FILE or none",
+        description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE, ulog:FILE, bin:FILE or none",
     )
     imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = Field(
         default=200.0, description="IMU rate requested from the autopilot"
@@ -803,7 +803,7 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
     rules: list[tuple[str, str, Callable[[str], str]]] = [
         ("camera", "calibration", lambda name: str(folder / os.path.expanduser(name))),
         ("camera", "source", lambda source: _beside(source, ("file", "images"), quote(str(folder)))),
-        ("autopilot", "link", lambda link: _beside(link, ("tlog", "ulog", "file"), str(folder))),
+        ("autopilot", "link", lambda link: _beside(link, ("tlog", "ulog", "bin", "file"), str(folder))),
         ("autopilot", "signing_key", lambda name: str(folder / os.path.expanduser(name))),
         ("network", "keys", lambda name: str(folder / os.path.expanduser(name))),
         *(

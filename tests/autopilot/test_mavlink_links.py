@@ -331,8 +331,11 @@ async def test_a_recording_is_played_at_its_own_times_from_now_on(tmp_path):
 
 async def test_a_file_that_is_no_recording_is_refused(tmp_path):
     path = tmp_path / "a.tlog"
-    path.write_bytes(b"\xfd" * 1000)
+    path.write_bytes(b"\xff" * 1000)
     with pytest.raises(SourceError, match="holds no record"):
+        await open_link(f"tlog:{path}", ManualClock()).run(Recorder())
+    path.write_bytes(heartbeat() * 9)
+    with pytest.raises(SourceError, match="is MAVLink without times, as a router or a raw log writes it"):
         await open_link(f"tlog:{path}", ManualClock()).run(Recorder())
     path.write_bytes(b"")
     with pytest.raises(SourceError, match="empty"):
