@@ -83,24 +83,38 @@ class Start(Section):
     source: Literal["local", "gps"] | None = Field(
         default=None,
         alias="from",
-        description='"local": the autopilot\'s own local pose, shifted by offset_m; "gps": its global position '
+        description='"local": the autopilot\'s own local pose, turned by offset_yaw_deg and shifted by offset_m; '
+        '"gps": its global position '
         "relative to the origin in [team], and its heading from true north",
     )
     offset_m: Place = Field(
         default=TEAM_FRAME_ORIGIN, description="origin of the autopilot's local frame, in the team frame, m"
     )
+    offset_yaw_deg: Number = Field(
+        default=0.0,
+        description="heading of the local frame's first axis, clockwise from the team frame's north: not 0 without "
+        "a compass (motion capture, visual odometry)",
+    )
 
     @model_validator(mode="after")
     def _one_way_only(self) -> Start:
-        measured = self.model_fields_set & {"position_m", "yaw_deg"}
+        said = self.model_fields_set
+        measured = " and ".join(sorted(said & {"position_m", "yaw_deg"}))
         if self.source is not None and measured:
+            local = ": offset_m and offset_yaw_deg say where its local frame lies" * (self.source == "local")
             raise ValueError(
-                f'{" and ".join(sorted(measured))} together with from = "{self.source}", expected one or the other'
+                f'{measured} together with from = "{self.source}", expected one or the other{local}'
             )
-        if self.source is None and "offset_m" in self.model_fields_set:
-            raise ValueError('offset_m without from = "local", expected position_m instead')
-        if self.source == "gps" and "offset_m" in self.model_fields_set:
-            raise ValueError('offset_m together with from = "gps", expected the origin in [team] to be moved')
+        instead = {"offset_m": "position_m", "offset_yaw_deg": "yaw_deg"}
+        by_gps = {
+            "offset_m": "the origin in [team] to be moved",
+            "offset_yaw_deg": "a heading from true north",
+        }
+        for key in instead.keys() & said:
+            if self.source is None:
+                raise ValueError(f'{key} without from = "local", expected {instead[key]} instead')
+            if self.source == "gps":
+                raise ValueError(f'{key} together with from = "gps", expected {by_gps[key]}')
         return self
 
     @property

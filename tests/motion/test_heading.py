@@ -281,6 +281,21 @@ def test_a_step_stays_a_step_where_the_heading_is_the_autopilots_own():
     np.testing.assert_allclose(history.at(1.0).world_from_body, level(0.235))
 
 
+def test_a_local_frame_may_be_turned():
+    """Its first axis points east: who flies along it flies east, and who looks along it looks east."""
+    history = EgoHistory(origin=np.array([10.0, 20.0, 0.0]), origin_yaw=math.radians(90.0))
+    fly_level(history, lambda t: 0.1, seconds=2.0, north_of=lambda t: 3.0 * t)
+    pose = history.at(1.0)
+    np.testing.assert_allclose(pose.position, [10.0, 23.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(pose.world_from_body, level(math.radians(90.0) + 0.1), atol=1e-9)
+    np.testing.assert_allclose(history.velocity(1.0)[0], [0.0, 3.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(history.team_from_local @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+    # A rebooted estimator begins again, and looks along its first axis again.
+    history.restart()
+    history.append(EgoPose(2.0, np.zeros(3), level(0.1)))
+    np.testing.assert_allclose(history.at(2.0).world_from_body, level(math.radians(90.0) + 0.1), atol=1e-9)
+
+
 def test_the_height_has_a_sigma_of_its_own():
     history = EgoHistory(absolute=True)
     history.append(EgoPose(0.0, np.zeros(3), np.eye(3), position_sigma=0.9, vertical_sigma=1.8))
