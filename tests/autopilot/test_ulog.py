@@ -187,7 +187,10 @@ def test_a_log_that_is_cut_off_is_used_as_far_as_it_goes(tmp_path):
             "is a DataFlash log of ArduPilot (.bin), expected a ULog of PX4 (.ulg): import",
         ),
         (b"", "begins with nothing, expected a ULog"),
-        (b"\x00\x05\x9c\x11\x22\x33\x44\x55\xfd", "is a ground station's telemetry log (.tlog), expected a ULog"),
+        (
+            b"\x00\x05\x9c\x11\x22\x33\x44\x55\xfd",
+            "is a ground station's telemetry log (.tlog), expected a ULog",
+        ),
         (b"\x1f\x8b\x08\x00", "is compressed by gzip, expected the log in it"),
         (b"ULog\x01\x12\x35", "is broken or cut off in its header"),
         (b"ULog\x01\x12\x35\x01" + bytes(8), "holds no gyro, expected the topic sensor_combined"),
