@@ -196,7 +196,7 @@ def _said(
     messages: dict[str, dict[str, Array]], gyro: Columns, gps: Columns | None, parameters: dict[str, float]
 ) -> Said:
     samples = list(rows(gyro, *GYRO, *ACCEL))
-    begin, end = samples[0][0], samples[-1][0]
+    begin, end = (extreme(t for t, *_ in samples) for extreme in (min, max))
     yield from _heartbeats(messages, begin, end)
     if "INS_GYRO_FILTER" in parameters:
         yield (
@@ -206,8 +206,8 @@ def _said(
             ),
         )
     yield from (imu(t, values[:3], values[3:]) for t, *values in samples)
-    yield from _attitudes(messages)
-    yield from _positions(messages)
+    yield from _attitudes(messages, begin)
+    yield from _positions(messages, begin)
     yield from _fixes(gps, messages.get("GPA"))
 
 
@@ -291,10 +291,10 @@ def _kind_of_vehicle(columns: Columns | None) -> Any:
     )
 
 
-def _attitudes(messages: dict[str, dict[str, Array]]) -> Said:
+def _attitudes(messages: dict[str, dict[str, Array]], begin: float) -> Said:
     """Of the estimator that flies, in angles; else as the first core's quaternion."""
     if _has(angles := messages.get("ATT"), "Roll", "Pitch", "Yaw"):
-        for t, *rpy in thinned(rows(angles, "Roll", "Pitch", "Yaw")):
+        for t, *rpy in thinned(rows(angles, "Roll", "Pitch", "Yaw"), begin):
             if all(map(math.isfinite, rpy)):
                 attitude_matrix = rotation.from_euler(*(math.radians(angle) for angle in rpy))
                 yield attitude(t, rotation.to_quaternion(attitude_matrix).tolist())
@@ -302,17 +302,17 @@ def _attitudes(messages: dict[str, dict[str, Array]]) -> Said:
     for name in QUATERNIONS:
         core = _of_one_sensor(messages.get(name))
         if _has(core, "Q1", "Q2", "Q3", "Q4"):
-            yield from (attitude(t, q) for t, *q in thinned(rows(core, "Q1", "Q2", "Q3", "Q4")))
+            yield from (attitude(t, q) for t, *q in thinned(rows(core, "Q1", "Q2", "Q3", "Q4"), begin))
             return
 
 
-def _positions(messages: dict[str, dict[str, Array]]) -> Said:
+def _positions(messages: dict[str, dict[str, Array]], begin: float) -> Said:
     """Global, and local from the estimator's origin, or where that is not logged from the first place."""
     if not _has(columns := messages.get("POS"), "Lat", "Lng", "Alt"):
         return
     places = [
         (t, Geodetic.from_degrees(latitude, longitude, height))
-        for t, latitude, longitude, height in thinned(rows(columns, "Lat", "Lng", "Alt"))
+        for t, latitude, longitude, height in thinned(rows(columns, "Lat", "Lng", "Alt"), begin)
         if _is_place(latitude, longitude, height)
     ]
     if not places:

@@ -65,9 +65,9 @@ def rows(columns: Columns, *names: str) -> Iterator[list[Any]]:
     return map(list, zip(*kept, strict=True))
 
 
-def thinned(samples: Iterable[list[Any]]) -> Iterator[list[Any]]:
-    """Rows, at most as many as an agent requests."""
-    samples = list(samples)
+def thinned(samples: Iterable[list[Any]], begin: float) -> Iterator[list[Any]]:
+    """Rows from `begin` [s] on, where the gyro begins: at most as many as an agent requests."""
+    samples = [row for row in samples if row[0] >= begin]
     often = len(samples) > 1 and (len(samples) - 1) / LOGGED_POSES_HZ > samples[-1][0] - samples[0][0]
     last = -np.inf
     for row in samples:

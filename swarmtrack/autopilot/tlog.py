@@ -76,7 +76,8 @@ class LoggedBytes:
     def own_times(self) -> list[tuple[TimeBase, float]]:
         """The stamps [s] of its frames, each with its time base."""
         if self._own_times is None:
-            frames = Framer().datagram(self.data)
+            framer = Framer()
+            frames = framer.feed(self.data) + framer.flush()
             self._own_times = [stamp for frame in frames if (stamp := _own_time(frame)) is not None]
         return self._own_times
 

@@ -106,10 +106,11 @@ def _said(topics: Mapping[str, Columns], gps: Columns | None) -> Said:
     else:
         return
     yield from gyro
-    yield from _heartbeats(topics.get("vehicle_status"), gyro[0][0], gyro[-1][0])
+    begin, end = (extreme(t for t, _ in gyro) for extreme in (min, max))
+    yield from _heartbeats(topics.get("vehicle_status"), begin, end)
     yield from _landings(topics.get("vehicle_land_detected"))
-    yield from _attitudes(topics.get("vehicle_attitude"))
-    yield from _positions(topics.get("vehicle_local_position"))
+    yield from _attitudes(topics.get("vehicle_attitude"), begin)
+    yield from _positions(topics.get("vehicle_local_position"), begin)
     yield from _fixes(gps)
 
 
@@ -156,20 +157,20 @@ def _angular_velocity(columns: Columns) -> Said:
     return (imu(sampled * 1e-6, gyro, [0.0] * 3) for _, sampled, *gyro in samples)
 
 
-def _attitudes(columns: Columns | None) -> Said:
+def _attitudes(columns: Columns | None, begin: float) -> Said:
     if columns is None:
         return
-    for t, *q in thinned(rows(columns, *(f"q[{k}]" for k in range(4)))):
+    for t, *q in thinned(rows(columns, *(f"q[{k}]" for k in range(4))), begin):
         yield attitude(t, q)
 
 
-def _positions(columns: Columns | None) -> Said:
+def _positions(columns: Columns | None, begin: float) -> Said:
     """Local while the estimator holds it for valid; global as well, where it knows where its origin lies."""
     if columns is None:
         return
     names = ["x", "y", "z", "vx", "vy", "vz", "ref_lat", "ref_lon", "ref_alt"]
     valid = ["xy_valid", "z_valid", "xy_global", "z_global"]
-    for t, *row in thinned(rows(columns, *names, *valid)):
+    for t, *row in thinned(rows(columns, *names, *valid), begin):
         (position, velocity), (latitude, longitude, height) = (row[:3], row[3:6]), row[6:9]
         xy, z, xy_global, z_global = row[9:]
         if not (xy and z):
