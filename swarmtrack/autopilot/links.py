@@ -59,17 +59,18 @@ class Receiver(Protocol):
         """The port is open, the connection stands."""
         ...
 
-    def received(self, t: float, data: bytes) -> bool:
-        """`data` came at t on our clock; True when it held a frame of our own autopilot."""
+    def received(self, t: float, data: bytes, sender: Address | None = None) -> bool:
+        """`data` came at t on our clock; True when it held a frame of our own autopilot. sender: of a datagram."""
         ...
 
 
 class Link(Protocol):
     """One link to an autopilot.
 
-    datagrams: `received` gets whole ones; recording: time comes from the file, sending goes nowhere; bytes_per_second:
-    capacity of the line, None where it hardly matters; remark: the last fault that did not end the connection, or
-    empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the start.
+    datagrams: `received` gets them one by one; recording: time comes from the file, sending goes nowhere;
+    bytes_per_second: capacity of the line, None where it hardly matters; remark: the last fault that did not end the
+    connection, or empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the
+    start.
     """
 
     address: LinkAddress
@@ -196,7 +197,7 @@ class UdpLink(LiveLink):
             for arrival, data, sender in opened.waiting():
                 if self._peer not in (None, sender) and arrival - self._heard_at < UDP_PEER_SILENT_S:
                     self._refuse(sender)
-                elif receiver.received(arrival, data):
+                elif receiver.received(arrival, data, sender):
                     self._peer, self._heard_at = sender, arrival
                     self.remark = ""
         except OSError as error:
