@@ -21,6 +21,8 @@ from dataclasses import dataclass
 from swarmtrack.autopilot.limits import (
     CLOCK_AHEAD_RATE,
     CLOCK_AHEAD_S,
+    CLOCK_FIRST_READINGS,
+    CLOCK_INTERVAL_S,
     CLOCK_REPLACED_AFTER_S,
     COPY_REMEMBERED_S,
     REBOOT_READINGS,
@@ -64,7 +66,7 @@ class _SecondClock:
 
 def _most_ahead(elapsed: float) -> float:
     """s by which a stamp may exceed the one before it, `elapsed` s later."""
-    return CLOCK_AHEAD_S + CLOCK_AHEAD_RATE * max(0.0, elapsed)
+    return CLOCK_AHEAD_S + CLOCK_AHEAD_RATE * max(0.0, elapsed - CLOCK_INTERVAL_S)
 
 
 class BootClock:
@@ -80,6 +82,9 @@ class BootClock:
         self._wrap_s = wrap_s
         self._newest: float | None = None
         self._read_at = -math.inf
+        self._readings = 0
+        self._least_delayed = -math.inf
+        """The largest of all stamps less their arrivals [s]."""
         self._second: _SecondClock | None = None
 
     def read(self, t: float, raw: float, near: float | None = None) -> tuple[StampStep, float]:
@@ -88,16 +93,22 @@ class BootClock:
         near [s]: about what it has to be, by another kind of message of the same autopilot; None: unknown.
         """
         stamp = self._unwrapped(t, raw, near)
-        if self._newest is None:
-            self._newest, self._read_at = stamp, t
-            return StampStep.NEXT, stamp
         if stamp == self._newest:
             return StampStep.SAME, stamp
-        if self._newest < stamp <= self._newest + _most_ahead(t - self._read_at):
+        if self._newest is None or (stamp > self._newest and self._is_in_time(t, stamp)):
             self._newest, self._read_at = stamp, t
+            self._readings += 1
+            self._least_delayed = max(self._least_delayed, stamp - t)
             return StampStep.NEXT, stamp
         self.apart = stamp - self._newest
         return self._follow(t, raw), stamp
+
+    def _is_in_time(self, t: float, stamp: float) -> bool:
+        """Whether a later stamp is not ahead of time: soon after the newest, or hardly less delayed than any before."""
+        assert self._newest is not None
+        soon = stamp <= self._newest + _most_ahead(t - self._read_at)
+        as_ever = stamp - t <= self._least_delayed + CLOCK_AHEAD_S
+        return soon or as_ever or self._readings < CLOCK_FIRST_READINGS
 
     def may_be_reboot(self, t: float, raw: float) -> bool:
         """Whether a clock that has begun again since the last reading could say so."""
@@ -134,6 +145,7 @@ class BootClock:
         else:
             return StampStep.OTHER
         self._newest, self._read_at, self._second, self.wraps = raw, t, None, 0
+        self._readings, self._least_delayed = 1, raw - t
         return step
 
     @property

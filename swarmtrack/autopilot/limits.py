@@ -169,9 +169,11 @@ CHANNEL_FORGOTTEN_AFTER_S = 2.0
 # Below the threshold: a channel that trembles there is thrown once.
 CHANNEL_TREMBLES_US = 50
 
-# Boot clock (`boot_clock`): by so much a stamp may be ahead of time, and by so much per second since the last one: of a
-# simulator that runs faster than time.
-CLOCK_AHEAD_S, CLOCK_AHEAD_RATE = 1.0, 20.0
+# Boot clock (`boot_clock`): by so much a stamp may be ahead of the one before it; and by so much per second that passes
+# beyond a usual interval, of a simulator that runs faster than time.
+CLOCK_AHEAD_S, CLOCK_AHEAD_RATE, CLOCK_INTERVAL_S = 0.5, 20.0, 0.05
+# Stamps at the beginning that may leap, for what a buffer had held back comes first.
+CLOCK_FIRST_READINGS = 20
 # A rebooted clock counts less than the time since it was last read, give or take what a buffer held back.
 REBOOT_SLACK_S = 0.5
 # Stamps of another clock in a row before it is believed, after less than the shortest reboot.
@@ -185,7 +187,7 @@ COPY_REMEMBERED_S = 30.0
 # So long after the last copy a message without a stamp that equals an earlier one to the byte is a copy as well.
 COPIES_EXPECTED_S = 5.0
 # In one window of the gyro's rate: from so many copies on they are said. A single one is no news.
-COPIES_SAID = 10
+COPIES_SAID = 20
 # Of the stamps that came: from this share on, those of a second clock are a second autopilot's.
 SECOND_CLOCK_SHARE = 0.2
 

@@ -153,6 +153,8 @@ class LinkState:
                 return "no imu", "heartbeat, no IMU" + (
                     "" if self.link.recording else f" ({self.requests.imu.name} asked for)"
                 )
+            case State.ENDED if contact.system is None:
+                return self._why_no_autopilot(now)
             case State.ENDED:
                 return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
             case State.NO_POSE:
@@ -248,5 +250,6 @@ class LinkState:
                 "signed_old": codec.signed_old,
                 "unsigned": codec.unsigned,
             }
-        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self.telemetry.lack(now))
+        ended = self.state is State.ENDED and self.contact.system is not None
+        ok = ended or (self.state is State.STREAMING and not self.telemetry.lack(now))
         return LinkStatus("autopilot", ok, text, tuple(counters.items()))

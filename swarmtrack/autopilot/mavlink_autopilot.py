@@ -12,7 +12,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.arguments import page
+from swarmtrack.autopilot.account import Account
 from swarmtrack.autopilot.candidates import AutopilotAddress, Candidate, vehicle_name
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter, heartbeat
 from swarmtrack.autopilot.datagrams import Address
@@ -163,8 +164,7 @@ class MavlinkAutopilot:
         )
         self._readers = self._make_readers()
         self._parameters: ParameterReader | None = None
-        self._came: Counter[int] = Counter()
-        """Messages of our autopilot, by ID."""
+        self._account = Account()
         self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
         self._next_heartbeat = self._next_tick = -math.inf
         self._met_at = math.inf
@@ -306,6 +306,16 @@ class MavlinkAutopilot:
         """One line for people, and the counters, all since the start."""
         return self._link_state.status(self._now())
 
+    def account(self) -> list[str]:
+        """What came of our autopilot, what was used, and why not the rest, one sentence each. Raises SourceError where
+        several may be ours.
+        """
+        contact = self._contact
+        if contact.system is None:
+            raise SourceError(self.status().text)
+        unread = frozenset(common.mavlink_map) - self._readers.keys()
+        return list(self._account.lines(contact, self._framer, self._telemetry, unread))
+
     @property
     def trouble(self) -> str:
         """What the autopilot does not deliver, in a few words for a pilot; empty while gyro and position come."""
@@ -380,12 +390,12 @@ class MavlinkAutopilot:
         """Bytes came at t; True when a valid frame of our autopilot was among them."""
         self._contact.received_at = t
         self._contact.bytes += len(data)
-        if self._link.recording:
-            frames = self._framer.record(data)
-        elif self._link.datagrams:
-            frames = self._framer.datagram(data, sender)
-        else:
+        if not self._link.datagrams:
             frames = self._framer.feed(data)
+        elif self._link.recording:
+            frames = self._framer.record(data)
+        else:
+            frames = self._framer.datagram(data, sender)
         ours = self._take(t, frames)
         if self._link.recording and t >= self._next_tick:
             self._next_tick = t + LINK_TICK_S
@@ -429,7 +439,7 @@ class MavlinkAutopilot:
             return False
         if frame.data[0] == V2:
             contact.version_2_at = t
-        self._came[frame.id] += 1
+        self._account.add(t, frame.id)
         reader = self._readers.get(frame.id)
         if reader is None:
             # Not worth decoding; but with a key, what was not verified proves nobody's presence.

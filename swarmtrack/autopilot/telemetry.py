@@ -153,9 +153,7 @@ class Telemetry:
         """When a stamp was read last, and the stamp."""
         self._second_clock = math.nan
         """How far the second clock is apart [s]; NaN: there is none."""
-        self._lost_before = self._copies_before = 0
-        self._losing = 0
-        """Windows in a row in which more was lost than came."""
+        self._copies_before = 0
         self._pose_at = self._quaternion_at = -math.inf
         self._position: tuple[float, Array, Array] | None = None
         self._placed_at = -math.inf
@@ -209,10 +207,7 @@ class Telemetry:
     @property
     def fault(self) -> str:
         """What is wrong with most of what came in the last window, in words; empty where most was used."""
-        fault = next((intake.fault for intake in self.intakes if intake.fault), "")
-        if not fault and self._losing > 1:
-            return "more gyro samples are lost on the link than come"
-        return fault
+        return next((intake.fault for intake in self.intakes if intake.fault), "")
 
     @property
     def slow_gyro(self) -> bool:
@@ -272,12 +267,6 @@ class Telemetry:
         enough = 0.95 * min(SLOWEST_USEFUL_GYRO_HZ, asked)
         self._is_slow = 0.0 < self.imu_rate_hz < enough and self._imu_since <= self._window_start
         self._window_start = now
-        lost = self.cadence.lost - self._lost_before
-        # A silence is one long gap: what is lost on the way is lost window after window.
-        self._lost_before, self._losing = (
-            self.cadence.lost,
-            (self._losing + 1) * (lost > self._window_count > 0),
-        )
         self._window_count = 0
         if self._imu_rank is not None:
             self._gyro_delays.log_delay(self.imu_source.id)
