@@ -54,10 +54,9 @@ class Account:
         read = {i: each for i, each in self._came.items() if i not in unread}
         yield f"came from autopilot {contact.address}: {_in_words(read) or 'nothing that is read'}"
         gyro, attitudes, positions = telemetry.intakes
-        yield (
-            f"used: {gyro.used} gyro samples{self._source(telemetry)}, {attitudes.used} attitudes, "
-            f"{positions.used} positions"
-        )
+        hz = self._gyro_hz(telemetry)
+        source = f" from {telemetry.imu_source.name} ({hz:.3g} Hz)" if gyro.used else ""
+        yield f"used: {gyro.used} gyro samples{source}, {attitudes.used} attitudes, {positions.used} positions"
         wasted = [str(intake) for intake in telemetry.intakes if intake.thrown]
         if telemetry.copies:
             wasted.append(f"{telemetry.copies} copies of earlier messages")
@@ -74,17 +73,15 @@ class Account:
             yield f"not used: {'; '.join(wasted)}"
         yield from self._lacks(telemetry, contact.received_at)
 
-    def _source(self, telemetry: Telemetry) -> str:
-        source = telemetry.imu_source
-        return f" from {source.name} ({self._hz(source.id):.3g} Hz)" if telemetry.gyro.used else ""
-
-    def _hz(self, message_id: int) -> float:
-        return self._came[message_id].hz if message_id in self._came else 0.0
+    def _gyro_hz(self, telemetry: Telemetry) -> float:
+        """Of the samples that were used."""
+        came = self._came.get(telemetry.imu_source.id)
+        return 0.0 if came is None else came.hz * telemetry.gyro.used / came.count
 
     def _lacks(self, telemetry: Telemetry, now: float) -> Iterator[str]:
         """What is missing, with the next step."""
         gyro, attitudes, positions = telemetry.intakes
-        hz = self._hz(telemetry.imu_source.id)
+        hz = self._gyro_hz(telemetry)
         own_log = "import the autopilot's own log, or let it send faster and record again"
         if not gyro.used:
             yield f"no gyro sample is usable, so tracks are lost in each turn: {own_log}"

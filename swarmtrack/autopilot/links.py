@@ -198,10 +198,14 @@ class UdpLink(LiveLink):
                 if self._peer not in (None, sender) and arrival - self._heard_at < UDP_PEER_SILENT_S:
                     self._refuse(sender)
                 elif receiver.received(arrival, data, sender):
-                    self._peer, self._heard_at = sender, arrival
-                    self.remark = ""
+                    self.meet(sender, arrival)
         except OSError as error:
             self._note(error)
+
+    def meet(self, peer: Address, t: float) -> None:
+        """Our autopilot was heard from there at t [s]."""
+        self._peer, self._heard_at = peer, t
+        self.remark = ""
 
     def _why(self, error: OSError) -> str:
         if error.errno == errno.EADDRINUSE:

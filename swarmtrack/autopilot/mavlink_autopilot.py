@@ -47,7 +47,7 @@ from swarmtrack.autopilot.limits import (
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
-from swarmtrack.autopilot.links import Link, LinkDown, Wire, open_link
+from swarmtrack.autopilot.links import Link, LinkDown, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.signing import Codec, read_key
@@ -167,6 +167,8 @@ class MavlinkAutopilot:
         self._account = Account()
         self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
         self._next_heartbeat = self._next_tick = -math.inf
+        self._senders: dict[AutopilotAddress, tuple[Address | None, float]] = {}
+        """Where a datagram of each last came from, and when; until it is known which one is ours."""
         self._met_at = math.inf
         """When our autopilot was chosen."""
         self._greeted = False
@@ -382,6 +384,7 @@ class MavlinkAutopilot:
         contact.frames_before = self._framer.good
         self._framer.reset()
         self._early.clear()
+        self._senders.clear()
         self._requests.reset()
         self._telemetry.opened()
         self._next_heartbeat = -math.inf
@@ -396,13 +399,13 @@ class MavlinkAutopilot:
             frames = self._framer.record(data)
         else:
             frames = self._framer.datagram(data, sender)
-        ours = self._take(t, frames)
+        ours = self._take(t, frames, sender)
         if self._link.recording and t >= self._next_tick:
             self._next_tick = t + LINK_TICK_S
             self.tick(t)
         return ours
 
-    def _take(self, t: float, frames: list[MavlinkFrame]) -> bool:
+    def _take(self, t: float, frames: list[MavlinkFrame], sender: Address | None = None) -> bool:
         ours = False
         for frame in frames:
             # Decoded once, in the order of arrival: a signed frame that is decoded again counts as replayed.
@@ -413,6 +416,7 @@ class MavlinkAutopilot:
             # What came before it is known whose it was is not lost.
             self._early.append((t, frame, message))
             self._note_source(t, frame, message)
+            self._senders[AutopilotAddress(frame.system, frame.component)] = sender, t
             ours |= self._look_for_autopilot(t)
         return ours
 
@@ -488,6 +492,10 @@ class MavlinkAutopilot:
         if candidate is None:
             return False
         self._meet(candidate, now)
+        sender, t = self._senders.get(contact.address, (None, now))
+        if sender is not None and isinstance(self._link, UdpLink):
+            self._link.meet(sender, t)
+        self._senders.clear()
         ours = False
         while self._early:
             ours |= self._on_frame(*self._early.popleft())

@@ -337,9 +337,9 @@ class Telemetry:
             self._imu_seen[rank] = t
         better = max(self._imu_seen[:rank], default=-math.inf)
         asked = self._requests.imu is IMU_MESSAGES[rank]
-        if t - better < IMU_PREFERRED_S or (
-            rank and not asked and t - self._contact.known_at < IMU_PREFERRED_S
-        ):
+        # A better one may just have been asked for.
+        waits = rank > 0 and not asked and not self._recorded
+        if t - better < IMU_PREFERRED_S or (waits and t - self._contact.known_at < IMU_PREFERRED_S):
             return False
         if step is StampStep.OTHER:
             return rank == self._imu_rank
