@@ -122,8 +122,7 @@ async def test_a_late_copy_of_a_heartbeat_does_not_engage_a_drone_that_its_pilot
 async def test_two_vehicles_of_one_id_are_said_and_the_first_one_s_clock_is_kept(boot_at):
     ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=boot_at)
     other.gyro, other.position = np.array((1.0, 1.0, 1.0)), np.array((50.0, 0.0, -20.0))
-    engagement = PilotEngagement()
-    async with Flight(ours, engagement=engagement) as flight:
+    async with Flight(ours) as flight:
         flight.fly(4.0)
         flight.autopilots = (ours, other)
         for message_id, hz in ((105, 200), (ATTITUDE_QUATERNION, 50), (32, 25)):
@@ -145,6 +144,28 @@ async def test_two_vehicles_of_one_id_are_said_and_the_first_one_s_clock_is_kept
         flight.autopilots = (ours,)
         flight.fly(5.0)
         assert flight.unit.status().ok
+
+
+async def test_another_vehicle_of_our_id_ends_the_engagement():
+    ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=20.0)
+    engagement = PilotEngagement()
+    async with Flight(ours, engagement=engagement) as flight:
+        for autopilot in (ours, other):
+            autopilot.pilot.armed, autopilot.pilot.status = True, common.MAV_STATE_ACTIVE
+        for mode in (5, 4):
+            for autopilot in (ours, other):
+                autopilot.pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+            for _ in range(30):
+                flight.fly(0.1)
+                engagement.tick(flight.clock.now())
+        assert engagement.engaged
+        other.set_interval(ATTITUDE_QUATERNION, 20_000, flight.clock.now())
+        flight.autopilots = (ours, other)
+        for _ in range(60):
+            flight.fly(0.1)
+            engagement.tick(flight.clock.now())
+        assert not engagement.engaged
+        assert engagement.take_end() == "two autopilots speak as system 1"
 
 
 async def test_two_kinds_of_vehicle_of_one_id_are_told_apart_by_their_heartbeats():
