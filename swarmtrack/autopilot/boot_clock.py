@@ -95,6 +95,9 @@ class BootClock:
         stamp = self._unwrapped(t, raw, near)
         if stamp == self._newest:
             return StampStep.SAME, stamp
+        if self._newest is not None and self._has_begun_again(t, raw, stamp):
+            self._begin_again(t, raw)
+            return StampStep.REBOOT, raw
         if self._newest is None or (stamp > self._newest and self._is_in_time(t, stamp)):
             self._newest, self._read_at = stamp, t
             self._readings += 1
@@ -109,6 +112,25 @@ class BootClock:
         soon = stamp <= self._newest + _most_ahead(t - self._read_at)
         as_ever = stamp - t <= self._least_delayed + CLOCK_AHEAD_S
         return soon or as_ever or self._readings < CLOCK_FIRST_READINGS
+
+    def _has_begun_again(self, t: float, raw: float, stamp: float) -> bool:
+        """Whether after a silence it is less than it would be, though more than it was. A simulator that was paused
+        goes on from where it was.
+        """
+        assert self._newest is not None
+        silence = t - self._read_at
+        behind = self._newest + silence - stamp
+        is_later = stamp > self._newest + CLOCK_AHEAD_S
+        return (
+            silence >= SHORTEST_REBOOT_S
+            and is_later
+            and behind > max(SHORTEST_REBOOT_S, 0.02 * silence)
+            and self.may_be_reboot(t, raw)
+        )
+
+    def _begin_again(self, t: float, raw: float) -> None:
+        self._newest, self._read_at, self._second, self.wraps = raw, t, None, 0
+        self._readings, self._least_delayed = 1, raw - t
 
     def may_be_reboot(self, t: float, raw: float) -> bool:
         """Whether a clock that has begun again since the last reading could say so."""
@@ -144,8 +166,7 @@ class BootClock:
             step = StampStep.REPLACED
         else:
             return StampStep.OTHER
-        self._newest, self._read_at, self._second, self.wraps = raw, t, None, 0
-        self._readings, self._least_delayed = 1, raw - t
+        self._begin_again(t, raw)
         return step
 
     @property

@@ -205,12 +205,11 @@ class LinkState:
         asked = "" if self.link.recording else f"{self.requests.imu_stream.asked_hz:g} Hz asked, "
         switch = f", {self.switch.in_words(now)}" if self.switch else ""
         source = telemetry.imu_source.name
+        place = ", no LOCAL_POSITION_NED comes" if telemetry.has_no_place(now) else ""
         copies = f", {telemetry.copies} copies dropped" if telemetry.copies else ""
         beside = ", ".join(map(str, self.contact.candidates.beside(self.contact.address, now)))
         heard = f", beside {beside}" if beside else ""
-        return (
-            f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}{copies}{heard}"
-        )
+        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}{place}{copies}{heard}"
 
     def trouble(self, now: float) -> str:
         """What is missing, in a few words for a pilot; empty for a short gap."""

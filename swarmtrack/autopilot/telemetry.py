@@ -214,6 +214,10 @@ class Telemetry:
         """Whether the gyro comes too seldom to be of use."""
         return self._is_slow
 
+    def has_no_place(self, now: float) -> bool:
+        """Whether no local position comes beside the gyro. A start by GPS says more, see `lack`."""
+        return self._gps is None and now - max(self._placed_at, self._imu_since) > POSE_MISSED_S
+
     def has_no_pose(self, now: float) -> bool:
         """Whether no attitude comes beside the gyro."""
         return now - max(self._pose_at, self._imu_since) > POSE_MISSED_S

@@ -42,6 +42,12 @@ def test_a_rebooted_clock_counts_less_than_the_time_since_it_was_read():
     assert steps(clock(100.0, 100.0), (104.0, 40.0)) == [OTHER]
 
 
+def test_a_reboot_in_a_long_silence_is_one_though_the_clock_counts_more_than_before():
+    # Up for 100 s; then nothing for 200 s, of which it has been up for the last 150.
+    assert steps(clock(100.0, 100.0), (300.0, 150.0)) == [REBOOT]
+    assert steps(clock(100.0, 100.0), (300.0, 299.0)) == [NEXT]
+
+
 def test_a_simulator_that_reboots_at_once_needs_three_readings():
     assert steps(clock(100.0, 100.0), *((100.0 + s, s) for s in (0.005, 0.010, 0.015, 0.020))) == [
         OTHER, OTHER, REBOOT, NEXT,

@@ -394,6 +394,15 @@ async def test_a_gyro_that_is_too_slow_is_no_link_that_is_ok(asked, got, is_slow
         assert flight.unit.status().ok != is_slow
 
 
+async def test_a_local_position_that_never_comes_is_said():
+    offered = tuple(n for n in SimulatedArduPilot.offers if n != common.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+    async with Flight(FakeAutopilot(boot_at=60.0, offered=offered)) as flight:
+        flight.fly(8.0)
+        # On a table there is none.
+        assert flight.unit.status().ok
+        assert flight.text.endswith(", no LOCAL_POSITION_NED comes")
+
+
 # --- one message for each thing is too few -----------------------------------------------------------
 
 
