@@ -158,9 +158,9 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s
     assert parts.detector is not None
     log = _Log()
     await autopilot.run(log)
-    assert isinstance(autopilot, MavlinkAutopilot)
-    for line in autopilot.account():
-        print(f"swarmtrack import: {line}", file=sys.stderr)
+    if isinstance(autopilot, MavlinkAutopilot):
+        for line in autopilot.account():
+            print(f"swarmtrack import: {line}", file=sys.stderr)
     if log.samples:
         _check_offset(offset, video_s, log)
     recorder.open()

@@ -44,6 +44,7 @@ from swarmtrack.autopilot.limits import (
 )
 from swarmtrack.autopilot.streams import (
     ATTITUDE,
+    ATTITUDE_MESSAGES,
     ATTITUDE_QUATERNION,
     DISTANCE_SENSOR,
     GLOBAL_POSITION_INT,
@@ -341,8 +342,9 @@ class Telemetry:
             self._imu_seen[rank] = t
         better = max(self._imu_seen[:rank], default=-math.inf)
         asked = self._requests.imu is IMU_MESSAGES[rank]
-        # A better one may just have been asked for.
-        waits = rank > 0 and not asked and not self._recorded
+        # A better one may just have been asked for; or follow, in a log that begins with an attitude.
+        lesser = IMU_MESSAGES[rank].id in ATTITUDE_MESSAGES if self._recorded else rank > 0
+        waits = lesser and not asked
         if t - better < IMU_PREFERRED_S or (waits and t - self._contact.known_at < IMU_PREFERRED_S):
             return False
         if step is StampStep.OTHER:
