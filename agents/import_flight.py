@@ -160,6 +160,7 @@ def _stamps(tlog: Path) -> tuple[float, float]:
 
 async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s: float = math.inf) -> int:
     """Raises SourceError where the video is not of this flight."""
+    from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
     from swarmtrack.detection.expectation import PerceivedExpectation
     from swarmtrack.sources import DetectionSource
 
@@ -170,9 +171,10 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s
     assert parts.detector is not None
     log = _Log()
     await autopilot.run(log)
-    if not log.samples:
-        print(f"swarmtrack import: {autopilot.status().text}: no gyro sample in the log", file=sys.stderr)
-    else:
+    if isinstance(autopilot, MavlinkAutopilot):
+        for line in autopilot.account():
+            print(f"swarmtrack import: {line}", file=sys.stderr)
+    if log.samples:
         _check_offset(offset, video_s, log)
     recorder.open()
     parts.door.listener = recorder

@@ -64,17 +64,18 @@ class Receiver(Protocol):
         """The port is open, the connection stands."""
         ...
 
-    def received(self, t: float, data: bytes) -> bool:
-        """`data` came at t on our clock; True when it held a frame of our own autopilot."""
+    def received(self, t: float, data: bytes, sender: Address | None = None) -> bool:
+        """`data` came at t on our clock; True when it held a frame of our own autopilot. sender: of a datagram."""
         ...
 
 
 class Link(Protocol):
     """One link to an autopilot.
 
-    datagrams: `received` gets whole ones; recording: time comes from the file, sending goes nowhere; bytes_per_second:
-    capacity of the line, None where it hardly matters; remark: the last fault that did not end the connection, or
-    empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the start.
+    datagrams: `received` gets them one by one; recording: time comes from the file, sending goes nowhere;
+    bytes_per_second: capacity of the line, None where it hardly matters; remark: the last fault that did not end the
+    connection, or empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the
+    start.
     """
 
     address: LinkAddress
@@ -201,11 +202,15 @@ class UdpLink(LiveLink):
             for arrival, data, sender in opened.waiting():
                 if self._peer not in (None, sender) and arrival - self._heard_at < UDP_PEER_SILENT_S:
                     self._refuse(sender)
-                elif receiver.received(arrival, data):
-                    self._peer, self._heard_at = sender, arrival
-                    self.remark = ""
+                elif receiver.received(arrival, data, sender):
+                    self.meet(sender, arrival)
         except OSError as error:
             self._note(error)
+
+    def meet(self, peer: Address, t: float) -> None:
+        """Our autopilot was heard from there at t [s]."""
+        self._peer, self._heard_at = peer, t
+        self.remark = ""
 
     def _why(self, error: OSError) -> str:
         if error.errno == errno.EADDRINUSE:

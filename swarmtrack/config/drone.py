@@ -317,7 +317,7 @@ class AutopilotSection(Section):
         default=200.0, description="IMU rate requested from the autopilot"
     )
     system_id: Annotated[int, Strict(), Field(ge=1, le=255)] | None = Field(
-        default=None, description="system ID of our autopilot, where several share one link"
+        default=None, description="system ID of our autopilot; needed where several share one link"
     )
     heading_sigma_deg: HeadingSigmas = Field(
         default=HeadingSigmas(),

@@ -108,7 +108,7 @@ class Recorder:
     def opened(self) -> None:
         self.is_open.set()
 
-    def received(self, t: float, data: bytes) -> bool:
+    def received(self, t: float, data: bytes, sender: object = None) -> bool:
         self.data.append((t, data))
         self._came.set()
         return bool(self._ours) and self._ours in data
