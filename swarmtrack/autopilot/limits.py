@@ -111,6 +111,8 @@ LOCAL_POSITION_SIGMA_M = 0.1
 LOCAL_POSITION_AGE_S = 0.5
 # Between a pose's mapped time and its arrival: it is stamped by another clock.
 POSE_CLOCK_MISMATCH_S = 5.0
+# In a row, before a clock of the poses' own is believed.
+OTHER_BASE_STAMPS = 5
 # The first exchanges come faster, so that sigma is soon known.
 TIMESYNC_PERIOD_S = 1.0
 TIMESYNC_FIRST_EXCHANGES, TIMESYNC_FIRST_PERIOD_S = 10, 0.2

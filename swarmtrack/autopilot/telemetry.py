@@ -33,6 +33,7 @@ from swarmtrack.autopilot.limits import (
     IMU_STALE_AFTER_S,
     LOCAL_POSITION_AGE_S,
     LOCAL_POSITION_SIGMA_M,
+    OTHER_BASE_STAMPS,
     POSE_CLOCK_MISMATCH_S,
     POSE_MISSED_S,
     QUATERNION_PREFERRED_S,
@@ -99,6 +100,9 @@ class Telemetry:
         name: str,
     ) -> None:
         self.clock_map = ClockMap()
+        """Of the gyro's stamps."""
+        self._pose_map = ClockMap()
+        self._other_stamps = 0
         self.cadence = Cadence()
         self.listener: AutopilotListener
         self.stamped = frozenset(
@@ -410,15 +414,16 @@ class Telemetry:
 
     def _take_attitude(self, t: float, stamp: float, attitude: Array | None) -> None:
         """attitude: (3, 3) world_from_body; None: none that is possible."""
-        if self.clock_map.offset is None or t - self.imu_at > IMU_STALE_AFTER_S:
+        clock_map = self._map_of_poses(stamp, t)
+        if clock_map is self.clock_map and (clock_map.offset is None or t - self.imu_at > IMU_STALE_AFTER_S):
             self._observe_clock(stamp, t)  # without an IMU, this is what tells the autopilot's time
-        ours = self.clock_map.to_ours(stamp)
         if attitude is None:
             self.attitudes.throw(IMPOSSIBLE)
             return
-        if abs(ours - t) > POSE_CLOCK_MISMATCH_S:
+        if clock_map is None:
             self.attitudes.throw(OTHER_CLOCK)
             return
+        ours = clock_map.to_ours(stamp)
         if self._position is None or abs(stamp - self._position[0]) > LOCAL_POSITION_AGE_S:
             self._poses_without_position += 1
             where = None
@@ -433,6 +438,20 @@ class Telemetry:
         self.listener.on_pose(
             EgoPose(ours, where, attitude, position_sigma=sigma, vertical_sigma=vertical, ground=ground)
         )
+
+    def _map_of_poses(self, stamp: float, t: float) -> ClockMap | None:
+        """Of the time base of an attitude's stamp [s] that came at t: that of the gyro. In a log, which nobody can
+        mend, one of its own where milliseconds count from another instant than microseconds. None: not known."""
+        gyro = self.clock_map
+        if gyro.offset is None or abs(gyro.to_ours(stamp) - t) <= POSE_CLOCK_MISMATCH_S:
+            self._other_stamps = 0
+            return gyro
+        if not self._recorded:
+            return None
+        self._other_stamps += 1
+        self._pose_map.observe(stamp, t)
+        agrees = abs(self._pose_map.to_ours(stamp) - t) <= POSE_CLOCK_MISMATCH_S
+        return self._pose_map if agrees and self._other_stamps >= OTHER_BASE_STAMPS else None
 
     def _on_distance(self, t: float, m: Any) -> None:
         # In cm. Outside of its limits, and at the farther one, it has found nothing.
@@ -517,6 +536,8 @@ class Telemetry:
                 apart,
             )
         self.clock_map.reset()
+        self._pose_map.reset()
+        self._other_stamps = 0
         self.cadence.reset()
         self._position = self._below = None
         self._asked_time.clear()

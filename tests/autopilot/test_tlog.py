@@ -158,6 +158,39 @@ def test_times_never_go_back_whatever_is_damaged():
         assert (np.diff(times) >= 0.0).all()
 
 
+@pytest.mark.parametrize(
+    ("gyro_since", "poses_since", "lost"),
+    [(BOOT, BOOT, 0), (UTC, UTC, 0), (UTC, BOOT, 5), (4_294_960.0, 4_294_960.0, 0)],
+    ids=["boot", "1970", "1970 and boot", "wrap"],
+)
+async def test_each_time_base_of_a_log_has_its_map(tmp_path, gyro_since, poses_since, lost):
+    """Microseconds since one instant, milliseconds of 32 bits since the same or another."""
+    mav, frames = common.MAVLink(None, 1, 1), []
+    for k in range(3000):
+        t = k / 200
+        said = [
+            common.MAVLink_highres_imu_message(round(1e6 * (gyro_since + t)), 0.0, 0.0, -9.8, *[0.0] * 10, 63)
+        ]
+        if k % 200 == 0:
+            said.append(common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3))
+        if k % 4 == 0:
+            ms = round(1e3 * (poses_since + t)) % 2**32
+            said.append(common.MAVLink_attitude_quaternion_message(ms, 1.0, *[0.0] * 6))
+            said.append(common.MAVLink_local_position_ned_message(ms, 1.0, 2.0, -3.0, 0.0, 0.0, 0.0))
+        frames += [(t, bytes(m.pack(mav))) for m in said]
+    path = tmp_path / "flight.tlog"
+    path.write_bytes(tlog(frames))
+    autopilot, kept = MavlinkAutopilot(f"tlog:{path}?speed=0", clock=ManualClock(1000.0)), Listener()
+    await autopilot.run(kept)
+    assert len(kept.imu) == 3000
+    assert 750 - lost <= len(kept.poses) <= 750
+    assert sum(pose.position is not None for pose in kept.poses) >= len(kept.poses) - 1
+    assert [pose.t for pose in kept.poses[-700:]] == pytest.approx(
+        (1015.0 - 0.02 * np.arange(700, 0, -1)).tolist(), abs=0.002
+    )
+    assert kept.reboots == 0
+
+
 @pytest.mark.shared
 @pytest.mark.parametrize("by", [10 * DAY, -3.0])
 async def test_all_of_a_real_flight_is_imported_when_its_computers_clock_is_set(tmp_path, by, caplog):
