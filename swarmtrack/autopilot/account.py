@@ -32,10 +32,20 @@ class Arrivals:
         return (self.count - 1) / span if span > 0.0 else 0.0
 
 
-class Account:
-    """Counts the messages of our autopilot; all times are ours [s]."""
+# How to come to a denser gyro, by the kind of log.
+DENSER_LOGS = {
+    "tlog": "import the autopilot's own log (--bin, --ulog), or let it send faster and record again (ArduPilot "
+    "SRn_RAW_SENS)",
+    "ulog": "fly again with a denser log (SDLOG_PROFILE: high rate)",
+    "bin": "fly again with the fast IMU in LOG_BITMASK (copters: bit 18)",
+}
 
-    def __init__(self) -> None:
+
+class Account:
+    """Counts the messages of our autopilot; all times are ours [s]. scheme: of the link's address."""
+
+    def __init__(self, scheme: str) -> None:
+        self._scheme = scheme
         self._came: dict[int, Arrivals] = {}
 
     def add(self, t: float, message_id: int) -> None:
@@ -82,13 +92,13 @@ class Account:
         """What is missing, with the next step."""
         gyro, attitudes, positions = telemetry.intakes
         hz = self._gyro_hz(telemetry)
-        own_log = "import the autopilot's own log, or let it send faster and record again"
+        denser = DENSER_LOGS.get(self._scheme, DENSER_LOGS["tlog"])
         if not gyro.used:
-            yield f"no gyro sample is usable, so tracks are lost in each turn: {own_log}"
+            yield f"no gyro sample is usable, so tracks are lost in each turn: {denser}"
         elif hz < SLOWEST_USEFUL_GYRO_HZ:
             yield (
                 f"the gyro is too slow, {hz:.3g} Hz and at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed, so tracks "
-                f"are lost in each turn: {own_log} (ArduPilot SRn_RAW_SENS)"
+                f"are lost in each turn: {denser}"
             )
         if not attitudes.used:
             yield "no attitude is usable, so nobody is named: ATTITUDE_QUATERNION or ATTITUDE is needed"

@@ -24,6 +24,7 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.autopilot.limits import GPS_FIX_AGE_S, HIGHEST_PLACE_M, POSITION_GAP_S
 from swarmtrack.autopilot.log_files import DATAFLASH_MAGIC, check_kind, time_limit
 from swarmtrack.autopilot.logged_flight import (
+    Activity,
     Columns,
     LoggedFlight,
     Said,
@@ -207,7 +208,7 @@ def _said(
         )
     yield from (imu(t, values[:3], values[3:]) for t, *values in samples)
     yield from _attitudes(messages, begin)
-    yield from _positions(messages, begin)
+    yield from _positions(messages)
     yield from _fixes(gps, messages.get("GPA"))
 
 
@@ -265,21 +266,14 @@ def _heartbeats(messages: dict[str, dict[str, Array]], begin: float, end: float)
         changes += [(t, bool(armed), bool(flies)) for t, armed, flies in rows(status, "Armed", "isFlying")]
     changes.sort(key=lambda change: change[0])
     tells_flight = any(flies is not None for *_, flies in changes)
-    waiting = iter([*changes, (math.inf, None, None)])
-    following = next(waiting)
     armed = flies = False
-
-    def at(t: float) -> tuple[bool, int]:
-        nonlocal armed, flies, following
-        while following[0] <= t:
-            armed = armed if following[1] is None else following[1]
-            flies = flies if following[2] is None else following[2]
-            following = next(waiting)
-        active = flies if tells_flight else armed
-        return armed, common.MAV_STATE_ACTIVE if active else common.MAV_STATE_STANDBY
-
+    activities = []
+    for t, now_armed, now_flies in changes:
+        armed = armed if now_armed is None else now_armed
+        flies = flies if now_flies is None else now_flies
+        activities.append(Activity(t, armed, flies if tells_flight else armed))
     kind = _kind_of_vehicle(messages.get("MSG"))
-    return heartbeats(begin, end, at, kind=kind, autopilot=common.MAV_AUTOPILOT_ARDUPILOTMEGA)
+    return heartbeats(begin, end, activities, kind=kind, autopilot=common.MAV_AUTOPILOT_ARDUPILOTMEGA)
 
 
 def _kind_of_vehicle(columns: Columns | None) -> Any:
@@ -306,13 +300,13 @@ def _attitudes(messages: dict[str, dict[str, Array]], begin: float) -> Said:
             return
 
 
-def _positions(messages: dict[str, dict[str, Array]], begin: float) -> Said:
+def _positions(messages: dict[str, dict[str, Array]]) -> Said:
     """Global, and local from the estimator's origin, or where that is not logged from the first place."""
     if not _has(columns := messages.get("POS"), "Lat", "Lng", "Alt"):
         return
     places = [
         (t, Geodetic.from_degrees(latitude, longitude, height))
-        for t, latitude, longitude, height in thinned(rows(columns, "Lat", "Lng", "Alt"), begin)
+        for t, latitude, longitude, height in thinned(rows(columns, "Lat", "Lng", "Alt"))
         if _is_place(latitude, longitude, height)
     ]
     if not places:

@@ -6,8 +6,9 @@ their errors. What a log holds at a higher rate than an agent requests is thinne
 
 from __future__ import annotations
 
+import math
 import struct
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -65,8 +66,8 @@ def rows(columns: Columns, *names: str) -> Iterator[list[Any]]:
     return map(list, zip(*kept, strict=True))
 
 
-def thinned(samples: Iterable[list[Any]], begin: float) -> Iterator[list[Any]]:
-    """Rows from `begin` [s] on, where the gyro begins: at most as many as an agent requests."""
+def thinned(samples: Iterable[list[Any]], begin: float = -math.inf) -> Iterator[list[Any]]:
+    """Rows from `begin` [s] on: at most as many as an agent requests."""
     samples = [row for row in samples if row[0] >= begin]
     often = len(samples) > 1 and (len(samples) - 1) / LOGGED_POSES_HZ > samples[-1][0] - samples[0][0]
     last = -np.inf
@@ -76,13 +77,24 @@ def thinned(samples: Iterable[list[Any]], begin: float) -> Iterator[list[Any]]:
             yield row
 
 
-def heartbeats(
-    begin: float, end: float, at: Callable[[float], tuple[bool, int]], *, kind: int, autopilot: int
-) -> Said:
-    """One a second from shortly before `begin` [s]. at: whether it is armed at t, and its MAV_STATE."""
+class Activity(NamedTuple):
+    """Since t [s]: whether it is armed, and whether the heartbeat says so of its flight (MAV_STATE_ACTIVE)."""
+
+    t: float
+    armed: bool
+    active: bool
+
+
+def heartbeats(begin: float, end: float, changes: Iterable[Activity], *, kind: int, autopilot: int) -> Said:
+    """One a second from shortly before `begin` [s]. changes: ascending in time; before the first it stands by."""
+    following = iter(changes)
+    now, then = Activity(-math.inf, armed=False, active=False), next(following, None)
     for t in np.arange(begin - 1e-3, end, 1.0).tolist():
-        armed, state = at(t)
-        mode = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (common.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
+        while then is not None and then.t <= t:
+            now, then = then, next(following, None)
+        mode = common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+        mode |= common.MAV_MODE_FLAG_SAFETY_ARMED if now.armed else 0
+        state = common.MAV_STATE_ACTIVE if now.active else common.MAV_STATE_STANDBY
         yield t, common.MAVLink_heartbeat_message(kind, autopilot, mode, 0, state, 3)
 
 

@@ -164,7 +164,7 @@ class MavlinkAutopilot:
         )
         self._readers = self._make_readers()
         self._parameters: ParameterReader | None = None
-        self._account = Account()
+        self._account = Account(self._link.address.scheme)
         self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
         self._next_heartbeat = self._next_tick = -math.inf
         self._senders: dict[AutopilotAddress, tuple[Address | None, float]] = {}

@@ -19,6 +19,7 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.autopilot.limits import LONGEST_RECORDING_S, LONGEST_UPTIME_S
 from swarmtrack.autopilot.log_files import check_kind, time_limit
 from swarmtrack.autopilot.logged_flight import (
+    Activity,
     Columns,
     LoggedFlight,
     Said,
@@ -40,6 +41,7 @@ from swarmtrack.messages import Array
 
 journal = logging.getLogger(__name__)
 
+UNREADABLE = (ValueError, TypeError, ArithmeticError, LookupError, MemoryError)
 ARMED = 2  # vehicle_status.arming_state
 GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")  # until PX4 1.12, and since 1.13 also the receiver's own
 GYRO_TOPICS = ("sensor_combined", "vehicle_angular_velocity")
@@ -63,14 +65,16 @@ def read_ulog(path: Path) -> LoggedFlight:
     # a column.
     try:
         check_definitions(path)
-        with time_limit(path), contextlib.redirect_stdout(io.StringIO()):
-            log = ULog(str(path), list(ULOG_TOPICS))
-        topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data["timestamp"])}
-        gps = next((topics[name] for name in GPS_TOPICS if name in topics), None)
-        offset = _utc_offset(gps)
-        begin = _count_from_boot(topics.values())
-        said = list(_said(topics, gps))
-    except (ULogException, OSError, struct.error, ValueError, TypeError, LookupError, MemoryError) as error:
+        with time_limit(path):
+            with contextlib.redirect_stdout(io.StringIO()):
+                log = ULog(str(path), list(ULOG_TOPICS))
+            topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data["timestamp"])}
+            gps = next((topics[name] for name in GPS_TOPICS if name in topics), None)
+            offset = _utc_offset(gps)
+            begin = _count_from_boot(topics.values())
+            system = system_id(log.initial_parameters.get("MAV_SYS_ID"))
+            said = frames(_said(topics, gps), system)
+    except (*UNREADABLE, ULogException, OSError, struct.error) as error:
         raise SourceError(f"{path}: is broken or cut off in its header, expected a ULog ({error})") from None
     if not any(name in topics for name in GYRO_TOPICS):
         raise SourceError(
@@ -79,8 +83,7 @@ def read_ulog(path: Path) -> LoggedFlight:
         )
     if log.file_corruption:
         journal.warning("%s: is damaged; what can be read of it is used", path)
-    system = system_id(log.initial_parameters.get("MAV_SYS_ID"))
-    return LoggedFlight(frames(said, system), None if offset is None else offset + begin, system)
+    return LoggedFlight(said, None if offset is None else offset + begin, system)
 
 
 def _count_from_boot(topics: Iterable[dict[str, Array]]) -> float:
@@ -110,7 +113,7 @@ def _said(topics: Mapping[str, Columns], gps: Columns | None) -> Said:
     yield from _heartbeats(topics.get("vehicle_status"), begin, end)
     yield from _landings(topics.get("vehicle_land_detected"))
     yield from _attitudes(topics.get("vehicle_attitude"), begin)
-    yield from _positions(topics.get("vehicle_local_position"), begin)
+    yield from _positions(topics.get("vehicle_local_position"))
     yield from _fixes(gps)
 
 
@@ -129,14 +132,11 @@ def _utc_offset(gps: Columns | None) -> float | None:
 
 
 def _heartbeats(status: Columns | None, begin: float, end: float) -> Said:
-    """Armed as the log says, where it does."""
-    changes = [(t, state == ARMED) for t, state in rows(status, "arming_state")] if status is not None else []
-
-    def at(t: float) -> tuple[bool, int]:
-        armed = next((armed for changed, armed in reversed(changes) if changed <= t), False)
-        return armed, common.MAV_STATE_ACTIVE if armed else common.MAV_STATE_STANDBY
-
-    return heartbeats(begin, end, at, kind=common.MAV_TYPE_QUADROTOR, autopilot=common.MAV_AUTOPILOT_PX4)
+    """Armed as the log says, where it does; an armed PX4 is active."""
+    states = rows(status, "arming_state") if status is not None else ()
+    changes = [Activity(t, state == ARMED, state == ARMED) for t, state in states]
+    kind, autopilot = common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4
+    return heartbeats(begin, end, changes, kind=kind, autopilot=autopilot)
 
 
 def _landings(columns: Columns | None) -> Said:
@@ -158,19 +158,24 @@ def _angular_velocity(columns: Columns) -> Said:
 
 
 def _attitudes(columns: Columns | None, begin: float) -> Said:
+    """From where the gyro begins: whoever reads their rates meanwhile would take them for it."""
     if columns is None:
         return
     for t, *q in thinned(rows(columns, *(f"q[{k}]" for k in range(4))), begin):
         yield attitude(t, q)
 
 
-def _positions(columns: Columns | None, begin: float) -> Said:
+def _positions(columns: Columns | None) -> Said:
     """Local while the estimator holds it for valid; global as well, where it knows where its origin lies."""
     if columns is None:
         return
     names = ["x", "y", "z", "vx", "vy", "vz", "ref_lat", "ref_lon", "ref_alt"]
     valid = ["xy_valid", "z_valid", "xy_global", "z_global"]
-    for t, *row in thinned(rows(columns, *names, *valid), begin):
+    samples = list(thinned(rows(columns, *names, *valid)))
+    invalid = sum(not (xy and z) for *_, xy, z, _, _ in samples)
+    if invalid:
+        journal.warning("%d of %d positions are not valid by PX4's own word: not used", invalid, len(samples))
+    for t, *row in samples:
         (position, velocity), (latitude, longitude, height) = (row[:3], row[3:6]), row[6:9]
         xy, z, xy_global, z_global = row[9:]
         if not (xy and z):
@@ -180,7 +185,7 @@ def _positions(columns: Columns | None, begin: float) -> Said:
             xy_global
             and z_global
             and abs(latitude) <= 90.0
-            and np.isfinite([*position, longitude, height]).all()
+            and np.isfinite([*position, *velocity, longitude, height]).all()
         ):
             origin = Geodetic.from_degrees(latitude, longitude, height)
             place = from_ned(np.array(position), origin)

@@ -181,6 +181,11 @@ async def test_dfreader_reads_the_same(tmp_path, real):
         np.testing.assert_allclose(pose.world_from_body, expected, atol=1e-6)
 
 
+async def test_a_log_whose_gyro_is_too_slow_names_the_setting_for_the_next_flight(tmp_path):
+    _, autopilot = await played(written(tmp_path, gyro_hz=25))
+    assert "fly again with the fast IMU in LOG_BITMASK" in "\n".join(autopilot.account())
+
+
 @pytest.mark.shared
 async def test_a_real_planes_log_has_all_that_it_holds():
     kept, _ = await played(REAL)

@@ -85,7 +85,9 @@ def _code(kind: str) -> str:
     return (count.rstrip("]") if bracket else "") + TYPES[word]
 
 
-def written(folder: Path, seconds: float = 4.0, *, valid: bool = True, since: int = 0) -> Path:
+def written(
+    folder: Path, seconds: float = 4.0, *, valid: bool = True, since: int = 0, climb: float = 0.0
+) -> Path:
     """A drone that yaws by 0.5 rad/s and flies north at 2 m/s, 3 m east of home. since [µs]: its clock at the boot."""
     times = [round(5e6 + 4000 * k) for k in range(int(250 * seconds))]
     log = Log()
@@ -109,7 +111,18 @@ def written(folder: Path, seconds: float = 4.0, *, valid: bool = True, since: in
         | {"ref_lat": "double", "ref_lon": "double", "ref_alt": "float"}
         | dict.fromkeys(("xy_valid", "z_valid", "xy_global", "z_global"), "bool"),
         [
-            (t, 2e-6 * (t - 5e6), 3.0, -4.0, 2.0, 0.0, 0.0, *np.degrees(HOME[:2]), HOME.height, *[valid] * 4)
+            (
+                t,
+                2e-6 * (t - 5e6),
+                3.0,
+                -4.0,
+                2.0,
+                0.0,
+                climb,
+                *np.degrees(HOME[:2]),
+                HOME.height,
+                *[valid] * 4,
+            )
             for t in times[::5]
         ],
     )
@@ -163,6 +176,13 @@ async def test_by_gps_a_logged_flight_is_in_the_team_frame(tmp_path):
 async def test_an_estimate_that_is_not_valid_is_no_position(tmp_path):
     kept, _ = await played(written(tmp_path, valid=False))
     assert kept.poses
+    assert all(pose.position is None for pose in kept.poses)
+
+
+@pytest.mark.parametrize("climb", [np.nan, np.inf, -1e38])
+async def test_a_velocity_that_no_drone_has_costs_positions_and_no_more(tmp_path, climb):
+    kept, _ = await played(written(tmp_path, 1.0, climb=climb))
+    assert len(kept.imu) > 240
     assert all(pose.position is None for pose in kept.poses)
 
 
@@ -334,11 +354,11 @@ async def test_a_real_board_turned_by_hand_turned_as_its_gyro_says():
 
 
 @pytest.mark.shared
-async def test_a_simulation_of_px4_whose_clock_is_utc_is_read_whole():
+async def test_a_simulation_of_px4_whose_clock_is_utc_is_read_whole(caplog):
     kept, _ = await played(EVENTS)
     assert len(kept.imu) == 7783
     assert len(kept.poses) == 622
-    # Its estimator holds 215 of its 313 positions for valid.
+    assert "98 of 313 positions are not valid by PX4's own word: not used" in caplog.text
     assert len({pose.position.tobytes() for pose in kept.poses if pose.position is not None}) > 215
     assert kept.poses[0].t == pytest.approx(kept.imu[0].t, abs=0.1)
     assert read_ulog(EVENTS).records[0][0] < 2**32 * 1e-3
