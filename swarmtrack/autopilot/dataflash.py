@@ -196,8 +196,8 @@ def _columns(data: mmap.mmap, offsets: Sequence[int], format: MessageFormat) -> 
 def _said(
     messages: dict[str, dict[str, Array]], gyro: Columns, gps: Columns | None, parameters: dict[str, float]
 ) -> Said:
-    samples = list(rows(gyro, *GYRO, *ACCEL))
-    begin, end = (extreme(t for t, *_ in samples) for extreme in (min, max))
+    times = [t for (t,) in rows(gyro)]
+    begin, end = min(times), max(times)
     yield from _heartbeats(messages, begin, end)
     if "INS_GYRO_FILTER" in parameters:
         yield (
@@ -206,7 +206,7 @@ def _said(
                 b"INS_GYRO_FILTER", parameters["INS_GYRO_FILTER"], common.MAV_PARAM_TYPE_REAL32, 1, 0
             ),
         )
-    yield from (imu(t, values[:3], values[3:]) for t, *values in samples)
+    yield from (imu(t, values[:3], values[3:]) for t, *values in rows(gyro, *GYRO, *ACCEL))
     yield from _attitudes(messages, begin)
     yield from _positions(messages)
     yield from _fixes(gps, messages.get("GPA"))

@@ -34,6 +34,8 @@ TLOG_PAUSE_S, TLOG_WINDOW_S, TLOG_WINDOW_RECORDS = 0.5, 5.0, 1000
 LOG_READ_S, LOG_READ_S_PER_MB = 1.5, 2.0
 # Of a ULog's definitions (`ulog_definitions`): PX4's largest topic has some 200 fields, its deepest two formats within.
 ULOG_MOST_FIELDS, ULOG_DEEPEST_FORMAT = 1024, 8
+# Of all its topics together, some 10 000.
+ULOG_MOST_SUBSCRIBED_FIELDS = 100_000
 # Bytes, of one definition of an unknown type; and of what is no definition, over which it is looked for the next one.
 ULOG_LARGEST_DEFINITION, ULOG_MOST_DAMAGED_BYTES = 10_000, 10_000
 # The rest of a frame would have come, so its header was false. A slow radio sends a few times per second.

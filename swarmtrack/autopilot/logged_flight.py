@@ -36,8 +36,9 @@ class LoggedFlight(NamedTuple):
 def frames(said: Said, system: int) -> list[tuple[float, bytes]]:
     """What an autopilot said, (time [s], message), as its frames in the order of their times."""
     mav = common.MAVLink(None, system, common.MAV_COMP_ID_AUTOPILOT1)
-    ordered = sorted(said, key=lambda message: message[0])
-    return [(t, frame) for t, message in ordered if (frame := _frame(mav, message))]
+    # A message is ten times as large as its frame, so none is kept.
+    packed = [(t, frame) for t, message in said if (frame := _frame(mav, message))]
+    return sorted(packed, key=lambda record: record[0])
 
 
 def _frame(mav: Any, message: Any) -> bytes:

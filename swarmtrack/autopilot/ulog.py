@@ -102,14 +102,12 @@ def _count_from_boot(topics: Iterable[dict[str, Array]]) -> float:
 
 
 def _said(topics: Mapping[str, Columns], gps: Columns | None) -> Said:
-    if "sensor_combined" in topics:
-        gyro = list(_sensor_combined(topics["sensor_combined"]))
-    elif "vehicle_angular_velocity" in topics:
-        gyro = list(_angular_velocity(topics["vehicle_angular_velocity"]))
-    else:
+    name = next((name for name in GYRO_TOPICS if name in topics), None)
+    if name is None:
         return
-    yield from gyro
-    begin, end = (extreme(t for t, _ in gyro) for extreme in (min, max))
+    times = [t for (t,) in rows(topics[name])]
+    begin, end = min(times), max(times)
+    yield from (_sensor_combined if name == "sensor_combined" else _angular_velocity)(topics[name])
     yield from _heartbeats(topics.get("vehicle_status"), begin, end)
     yield from _landings(topics.get("vehicle_land_detected"))
     yield from _attitudes(topics.get("vehicle_attitude"), begin)

@@ -7,6 +7,7 @@ the end.
 
 from __future__ import annotations
 
+import mmap
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,12 +17,14 @@ from swarmtrack.autopilot.limits import (
     ULOG_LARGEST_DEFINITION,
     ULOG_MOST_DAMAGED_BYTES,
     ULOG_MOST_FIELDS,
+    ULOG_MOST_SUBSCRIBED_FIELDS,
 )
 from swarmtrack.errors import SourceError
 
 ULOG_HEADER = 16
 # Types of messages: of the definitions; and of what ends them.
 DEFINITION_TYPES, DATA_TYPES = frozenset(b"BFIMPQ"), frozenset(b"ALC")
+SUBSCRIPTION = ord("A")
 BASIC_TYPES = frozenset(
     (
         "int8_t",
@@ -42,14 +45,16 @@ Format = Sequence[tuple[str, int]]  # of each field: its type, and how many
 
 def check_definitions(path: Path) -> None:
     """Raises SourceError where a log's definitions are damaged, or such as no PX4 has."""
-    formats = _formats(path)
-    fields: dict[str, int] = {}
-    for name in formats:
-        _count(path, formats, name, fields, ())
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        formats, position = _formats(path, data)
+        fields: dict[str, int] = {}
+        for name in formats:
+            _count(path, formats, name, fields, ())
+        _check_subscriptions(path, data, position, fields)
 
 
-def _formats(path: Path) -> dict[str, Format]:
-    data = path.read_bytes()
+def _formats(path: Path, data: mmap.mmap) -> tuple[dict[str, Format], int]:
+    """By name; and where the definitions end."""
     position, damaged = ULOG_HEADER, 0
     formats: dict[str, Format] = {}
     while position + 3 <= len(data):
@@ -69,7 +74,23 @@ def _formats(path: Path) -> dict[str, Format]:
             name, _, text = data[position + 3 : end].decode("utf-8", "replace").partition(":")
             formats[name] = [_field(field) for field in text.split(";") if field]
         position = end
-    return formats
+    return formats, position
+
+
+def _check_subscriptions(path: Path, data: mmap.mmap, position: int, fields: Mapping[str, int]) -> None:
+    """The library keeps all fields of each subscription, however often one comes again."""
+    total, size, header = 0, len(data), struct.Struct("<HB")
+    while position + 3 <= size:
+        length, kind = header.unpack_from(data, position)
+        if kind == SUBSCRIPTION:
+            name = data[position + 6 : position + 3 + length].decode("utf-8", "replace")
+            total += fields.get(name, 1)
+            if total > ULOG_MOST_SUBSCRIBED_FIELDS:
+                most = ULOG_MOST_SUBSCRIBED_FIELDS
+                raise SourceError(
+                    f"{path}: its topics have more than {most} fields in all, expected a ULog of PX4"
+                )
+        position += 1 if kind == 0 or length == 0 else 3 + length
 
 
 def _field(text: str) -> tuple[str, int]:

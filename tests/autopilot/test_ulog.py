@@ -239,6 +239,11 @@ NESTED = [f"f{k}:f{k + 1}[99] x;" for k in range(6)]
     ("content", "expected"),
     [
         (
+            formats("sensor_combined:uint64_t timestamp;uint8_t[1000] x;")
+            + b"".join(_message("A", struct.pack("<BH", 0, k) + b"sensor_combined") for k in range(200)),
+            "its topics have more than 100000 fields in all",
+        ),
+        (
             formats("sensor_combined:uint64_t timestamp;f0[99] x;", *NESTED, "f6:uint8_t[99] x;"),
             "has 9801 fields",
         ),
@@ -252,7 +257,7 @@ NESTED = [f"f{k}:f{k + 1}[99] x;" for k in range(6)]
         (formats(then=struct.pack("<HB", 60_000, 0xEE)), "is broken or cut off in its header, at byte 16"),
         (formats(then=struct.pack("<HB", 20_000, 0) + bytes(4000)), "is broken or cut off in its header"),
     ],
-    ids=["product", "itself", "each other", "deep", "wide", "beyond the end", "zeros"],
+    ids=["subscriptions", "product", "itself", "each other", "deep", "wide", "beyond the end", "zeros"],
 )
 def test_definitions_that_would_keep_the_reader_busy_for_ever_are_refused(tmp_path, content, expected):
     path = tmp_path / "flight.ulg"
