@@ -41,7 +41,7 @@ from swarmtrack.messages import Array
 
 journal = logging.getLogger(__name__)
 
-UNREADABLE = (ValueError, TypeError, ArithmeticError, LookupError, MemoryError)
+BAD_LOG_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, MemoryError)
 ARMED = 2  # vehicle_status.arming_state
 GPS_TOPICS = ("vehicle_gps_position", "sensor_gps")  # until PX4 1.12, and since 1.13 also the receiver's own
 GYRO_TOPICS = ("sensor_combined", "vehicle_angular_velocity")
@@ -74,7 +74,7 @@ def read_ulog(path: Path) -> LoggedFlight:
             begin = _count_from_boot(topics.values())
             system = system_id(log.initial_parameters.get("MAV_SYS_ID"))
             said = frames(_said(topics, gps), system)
-    except (*UNREADABLE, ULogException, OSError, struct.error) as error:
+    except (*BAD_LOG_ERRORS, ULogException, OSError, struct.error) as error:
         raise SourceError(f"{path}: is broken or cut off in its header, expected a ULog ({error})") from None
     if not any(name in topics for name in GYRO_TOPICS):
         raise SourceError(
