@@ -87,7 +87,7 @@ class Framer:
         """The stream fell silent: the pending bytes are not a frame, but may contain one."""
         return self._scan(final=True)
 
-    def datagram(self, data: bytes, sender: Hashable) -> list[MavlinkFrame]:
+    def feed_from(self, sender: Hashable, data: bytes) -> list[MavlinkFrame]:
         """Take the next datagram of a sender; return the frames that are complete.
 
         A bridge may cut its stream into datagrams of any length, so the beginning of a frame waits for its rest. Of
@@ -107,8 +107,8 @@ class Framer:
                 self.bad_bytes += len(lost)
         return self.feed(data)
 
-    def record(self, data: bytes) -> list[MavlinkFrame]:
-        """The frames of one record of a log. None spans two, so a truncated one spoils nothing after it."""
+    def datagram(self, data: bytes) -> list[MavlinkFrame]:
+        """The frames of one datagram or record, of which none spans two: a truncated one spoils nothing after it."""
         self.reset()
         self._buffer += data
         return self._scan(final=True)

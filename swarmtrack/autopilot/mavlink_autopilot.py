@@ -396,9 +396,9 @@ class MavlinkAutopilot:
         if not self._link.datagrams:
             frames = self._framer.feed(data)
         elif self._link.recording:
-            frames = self._framer.record(data)
+            frames = self._framer.datagram(data)
         else:
-            frames = self._framer.datagram(data, sender)
+            frames = self._framer.feed_from(sender, data)
         ours = self._take(t, frames, sender)
         if self._link.recording and t >= self._next_tick:
             self._next_tick = t + LINK_TICK_S

@@ -82,7 +82,7 @@ def test_a_truncated_frame_costs_only_itself():
     sent = [f if i % 10 else f[: rng.randint(1, len(f) - 1)] for i, f in enumerate(frames)]
     assert feed_in_pieces(Framer(), b"".join(sent)) == whole
     datagrams = Framer()
-    assert [f.data for d in sent for f in datagrams.record(d)] == whole
+    assert [f.data for d in sent for f in datagrams.datagram(d)] == whole
 
 
 def test_two_megabytes_of_noise_yield_no_frame():
@@ -109,7 +109,7 @@ def test_every_byte_is_in_a_frame_or_counted_and_pieces_do_not_matter(parts, siz
 @given(st.binary(max_size=400))
 def test_any_bytes_are_survived(data):
     framer, codec = Framer(), Codec(ManualClock(), 1, 191)
-    for frame in framer.feed(data) + framer.flush() + framer.record(data):
+    for frame in framer.feed(data) + framer.flush() + framer.datagram(data):
         codec.decode(frame)
     assert not framer.pending
 
@@ -151,7 +151,7 @@ def sender(key: bytes | None, utc: float = 1.7e9) -> Codec:
 
 
 def received(codec: Codec, data: bytes) -> object | None:
-    (frame,) = Framer().record(data)
+    (frame,) = Framer().datagram(data)
     return codec.decode(frame)
 
 

@@ -126,7 +126,7 @@ class TruthLink:
         """Bytes came at t; True when an autopilot's frame was among them."""
         self._bytes += len(data)
         self._heard_at = t
-        frames = self._framer.datagram(data, sender) if self._link.datagrams else self._framer.feed(data)
+        frames = self._framer.feed_from(sender, data) if self._link.datagrams else self._framer.feed(data)
         ours = False
         for frame in frames:
             ours |= self._on_frame(t, frame)
