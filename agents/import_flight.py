@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     log = parser.add_mutually_exclusive_group(required=True)
     log.add_argument("--tlog", type=Path, metavar="FILE", help="the telemetry log of a ground station")
     log.add_argument("--ulog", type=Path, metavar="FILE", help="PX4's own log (.ulg)")
+    log.add_argument("--bin", type=Path, metavar="FILE", help="ArduPilot's own log (.bin)")
     add_file(parser, "--video", "video of the drone's camera", required=True)
     add_file(parser, "--config", "the drone's config: camera, mount, tracker, detector", required=True)
     add_folder(parser, "--out", "folder for recordings; a subfolder is made for each", required=True)
@@ -83,7 +84,8 @@ def run(args: argparse.Namespace) -> int:
 
     if not -1e6 < args.offset < 1e6:
         raise SourceError(f"--offset {args.offset:g}: expected seconds")
-    scheme, log = ("tlog", args.tlog) if args.ulog is None else ("ulog", args.ulog)
+    logs = {"tlog": args.tlog, "ulog": args.ulog, "bin": args.bin}
+    scheme, log = next((scheme, path) for scheme, path in logs.items() if path is not None)
     for name, path in ((f"--{scheme}", log), ("--video", args.video)):
         if not path.is_file():
             raise SourceError(f"{name} {path}: no such file")
@@ -94,7 +96,7 @@ def run(args: argparse.Namespace) -> int:
         "recording": {"dir": str(args.out), "frames": "jpeg" if args.frames else "none"},
     }
     config = load_config(args.config, Layer(Path("swarmtrack import"), "", asked))
-    clock = ManualClock(BEGIN_S, _first_stamp(log) if scheme == "tlog" else _first_utc(log))
+    clock = ManualClock(BEGIN_S, _first_utc(scheme, log.absolute()))
     parts = assemble(config, SystemClock(), clock)
     return asyncio.run(import_flight(parts, clock, args.offset, _seconds_of(args.video)))
 
@@ -122,33 +124,45 @@ def _check_offset(offset: float, video_s: float, log: _Log) -> None:
         )
 
 
-def _first_stamp(tlog: Path) -> float:
-    """UTC [s]. Raises SourceError for what is no log."""
-    from swarmtrack.autopilot.links import records
+def _first_utc(scheme: str, log: Path) -> float:
+    """UTC [s] of the first record; as if the file had been written with its last record where the log does not know.
+    Raises SourceError for what is no log.
+    """
+    if scheme == "tlog":
+        from swarmtrack.autopilot.tlog import CLOCK_WAS_SET
 
+        first, last = _stamps(log)
+        is_known, why = first > CLOCK_WAS_SET, "the clock of the computer that wrote the log was not set"
+    else:
+        from swarmtrack.autopilot.links import read_log
+
+        flight = read_log(scheme, log)
+        is_known, why = flight.utc_offset is not None, "no GPS time in the log"
+        first, last = (t + (flight.utc_offset or 0.0) for t in (flight.records[0][0], flight.records[-1][0]))
+    if is_known:
+        return first
+    print(f"swarmtrack import: --{scheme} {log}: {why}; the recording is dated by the file", file=sys.stderr)
+    return log.stat().st_mtime - (last - first)
+
+
+def _stamps(tlog: Path) -> tuple[float, float]:
+    """UTC [s] of the first and the last record, by the first one's clock; all are read where that was not set."""
+    from swarmtrack.autopilot.log_files import check_kind
+    from swarmtrack.autopilot.tlog import CLOCK_WAS_SET, records
+
+    check_kind(tlog, "tlog")
     with tlog.open("rb") as file:
-        for stamp, _ in records(file.read(1 << 20)):
-            return stamp
-    raise SourceError(f"--tlog {tlog}: holds no record, is it a telemetry log (.tlog)?")
-
-
-def _first_utc(ulog: Path) -> float:
-    """UTC [s] of the first record: by the log's GPS, else as if the file had been written with its last record."""
-    from swarmtrack.autopilot.ulog import read_ulog
-
-    flight = read_ulog(ulog)
-    first, last = flight.records[0][0], flight.records[-1][0]
-    if flight.utc_offset is not None:
-        return first + flight.utc_offset
-    print(
-        f"swarmtrack import: --ulog {ulog}: no GPS time in the log; the recording is dated by the file",
-        file=sys.stderr,
-    )
-    return ulog.stat().st_mtime - (last - first)
+        first = next((stamp for stamp, _ in records(file.read(1 << 20))), None)
+    if first is None:
+        raise SourceError(f"--tlog {tlog}: holds no record, is it a telemetry log (.tlog)?")
+    if first > CLOCK_WAS_SET:
+        return first, first
+    return first, max(stamp for stamp, _ in records(tlog.read_bytes()))
 
 
 async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s: float = math.inf) -> int:
     """Raises SourceError where the video is not of this flight."""
+    from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
     from swarmtrack.detection.expectation import PerceivedExpectation
     from swarmtrack.sources import DetectionSource
 
@@ -159,9 +173,10 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s
     assert parts.detector is not None
     log = _Log()
     await autopilot.run(log)
-    if not log.samples:
-        print(f"swarmtrack import: {autopilot.status().text}: no gyro sample in the log", file=sys.stderr)
-    else:
+    if isinstance(autopilot, MavlinkAutopilot):
+        for line in autopilot.account():
+            print(f"swarmtrack import: {line}", file=sys.stderr)
+    if log.samples:
         _check_offset(offset, video_s, log)
     recorder.open()
     parts.door.listener = recorder

@@ -280,24 +280,34 @@ SIGNING_BEGAN, SIGNING_TICKS = 1_420_070_400, 100_000
 
 
 class Speaker:
-    """SET_POSITION_TARGET_LOCAL_NED as (system, component), in MAVLink 2, signed where there is a key (32 bytes)."""
+    """SET_POSITION_TARGET_LOCAL_NED as (system, component) to a component of that system, signed where there is a key
+    of 32 bytes. version_1: as MAVLink 1, which knows no signatures.
+    """
 
     def __init__(self, system: int, component: int, key: bytes = b"") -> None:
         self.system, self.component, self.key = system, component, key
+        self.target, self.version_1 = TARGET_COMPONENT, False
         self._sequence = 0
         self._ticks = 0
 
     def frame(self, point: Command, now: float, utc: float) -> bytes:
         payload = PAYLOAD.pack(
             int(now * 1e3) % 2**32, *GUARD_STANDSTILL, *point.velocity, *GUARD_STANDSTILL, 0.0, point.yaw_rate,
-            MASK, self.system, TARGET_COMPONENT, LOCAL_NED,
+            MASK, self.system, self.target, LOCAL_NED,
         )  # fmt: skip
-        flags = SIGNED_FLAG if self.key else 0
-        head = bytes((len(payload), flags, 0, self._sequence, self.system, self.component))
-        body = head + SETPOINT_MESSAGE.to_bytes(3, "little") + payload
-        frame = b"\xfd" + body + struct.pack("<H", _crc(body + bytes((SETPOINT_CRC_EXTRA,))))
+        sender = (self._sequence, self.system, self.component)
+        if self.version_1:
+            magic, head = b"\xfe", bytes((len(payload), *sender, SETPOINT_MESSAGE))
+        else:
+            flags = SIGNED_FLAG if self.key else 0
+            magic, head = (
+                b"\xfd",
+                bytes((len(payload), flags, 0, *sender)) + SETPOINT_MESSAGE.to_bytes(3, "little"),
+            )
+        body = head + payload
+        frame = magic + body + struct.pack("<H", _crc(body + bytes((SETPOINT_CRC_EXTRA,))))
         self._sequence = (self._sequence + 1) % 256
-        return frame + self._signature(frame, utc) if self.key else frame
+        return frame + self._signature(frame, utc) if self.key and not self.version_1 else frame
 
     def _signature(self, frame: bytes, utc: float) -> bytes:
         self._ticks = max(self._ticks + 1, int((utc - SIGNING_BEGAN) * SIGNING_TICKS))
@@ -329,7 +339,9 @@ KEY, LINK, NO_LINK, DECISION, STAND, END, STOP = b"K", b"L", b"l", b"D", b"Z", b
 RELEASED, SENT = b"R", b"T"
 DECIDED = struct.Struct("<I10d")  # number, t, velocity, yaw_rate, place, place_t, room
 SETPOINT_NUMBER = struct.Struct("<I")
-OPENED = struct.Struct("<BBH")  # system, component, port of the peer: 0, the link has one peer; then its host
+# System and component of its messages, component that they are for, whether that hears MAVLink 1 only, port of the peer
+# (0: the link has one peer); then its host.
+OPENED = struct.Struct("<BBB?H")
 COUNTS = struct.Struct("<III")  # set points sent; in the stead of stale decisions; of refused ones
 LARGEST_DATAGRAM_BYTES = 512
 
@@ -399,7 +411,10 @@ class Program:
                 os.close(self._link)
             self._link = passed[0] if passed else -1
             if kind == LINK:
-                self._speaker.system, self._speaker.component, port = OPENED.unpack(body[: OPENED.size])
+                speaker = self._speaker
+                speaker.system, speaker.component, speaker.target, speaker.version_1, port = OPENED.unpack(
+                    body[: OPENED.size]
+                )
                 self._peer = (body[OPENED.size :].decode(), port) if port else None
 
     def _send(self) -> None:

@@ -335,11 +335,13 @@ class ScanReport(NamedTuple):
 class HeadingNews(NamedTuple):
     """The own heading is known otherwise than before, so this drone should announce itself again.
 
-    step [rad]: by how much it jumped, clockwise; 0 where the autopilot has had the time to align it in flight.
+    step [rad]: by how much it jumped, clockwise; 0 where the autopilot has had the time to align it in flight. doubt
+    [rad]: standard deviation that the heading has since, of a step too large for an alignment; else 0.
     """
 
     t: float
     step: float
+    doubt: float = 0.0
 
 
 class OwnFault(NamedTuple):

@@ -58,6 +58,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
+from swarmtrack.motion.ground_heights import GroundHeightNews, GroundHeights
 from swarmtrack.motion.gyro import GyroHistory, Orientation
 from swarmtrack.motion.gyro_bias import GyroBias, KnownGyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
@@ -85,6 +86,7 @@ Output = (
     | Disagreement
     | PoseWanted
     | HeadingNews
+    | GroundHeightNews
     | DoubtNews
     | Astray
     | FrameNews
@@ -142,6 +144,7 @@ class Onboard:
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self._heading_steps = HeadingSteps(gyro, first.body_from_camera.rotation)
         self._heading_bulletin = HeadingBulletin()
+        self._ground_heights = GroundHeights()
         self._ego = ego
         self._flight = OwnFlightRecord(ego, gyro, first.body_from_camera.rotation)
         self._waiting = WaitingScans([each.clock for each in cameras], gyro)
@@ -188,6 +191,7 @@ class Onboard:
                 attitude = event.world_from_body @ self._first.body_from_camera.rotation
                 self._bias.add_attitude(event.t, attitude, event.attitude_sigma)
                 self._watch_heading(event)
+                self._compare_heights(event)
             case FlightState():
                 self._ego.fly(event)
             case Detections():
@@ -211,6 +215,7 @@ class Onboard:
             case Announcement():
                 if self._identities.announce(event):
                     self._metres.announce(event)
+                    self._ground_heights.hear(event)
                 else:
                     self.counters.announcements_refused += 1
             case PeerArrived() | PeerDeparted() | IdClash() | PeerExpelled():
@@ -280,7 +285,7 @@ class Onboard:
             pose,
             scan_ages=self._stuck.ages(now),
             clash=self._identities.has_own_clash,
-            doubted=self.self_doubt,
+            doubted=self.self_doubt or self._ego.heading.doubt > 0.0,
             height_sights=self._metres.height_sights,
         )
 
@@ -324,10 +329,17 @@ class Onboard:
             turned = self._ego.step_heading(pose.t, step)
             self._identities.step_heading(pose.t, turned)
             self._flight.step_heading(pose.t)
-        aligned = self._ego.heading.is_aligned(pose.t)
-        news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned)
+        heading = self._ego.heading
+        aligned = heading.is_aligned(pose.t)
+        news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned, doubt=heading.doubt)
         if news is not None:
             self._events.append(news)
+
+    def _compare_heights(self, pose: EgoPose) -> None:
+        """On the ground, and by GPS: is each teammate's announced height one of the same field?"""
+        here = self._ego.standing_at(pose) if self._ground_heights.has_waiting else None
+        if here is not None:
+            self._events += self._ground_heights.stand(pose.t, here.position, here.position_cov)
 
     def _stated(self, pose: TeamPose) -> TeamPose:
         """As well known as the drone states it to others: not at all while it suspects itself."""

@@ -12,7 +12,7 @@ from urllib.parse import parse_qsl
 from swarmtrack.autopilot.limits import DEFAULT_BAUD, SLOWEST_BAUD
 from swarmtrack.errors import SourceError
 
-Scheme = Literal["udpin", "udpout", "tcp", "serial", "tlog", "ulog", "none"]
+Scheme = Literal["udpin", "udpout", "tcp", "serial", "tlog", "ulog", "bin", "none"]
 
 
 # What people write, to what we call it. MAVSDK's and pymavlink's plain `udp` both listen.
@@ -25,12 +25,14 @@ SCHEMES: dict[str, Scheme] = {
     "serial": "serial",
     "tlog": "tlog",
     "ulog": "ulog",
+    "bin": "bin",
     "none": "none",
 }
-RECORDING_ENDINGS: dict[Scheme, str] = {"tlog": ".tlog", "ulog": ".ulg"}
+RECORDING_ENDINGS: dict[Scheme, str] = {"tlog": ".tlog", "ulog": ".ulg", "bin": ".bin"}
 EXAMPLES = (
     "udpin:127.0.0.1:14540, udpout:192.168.1.2:14550, tcp:127.0.0.1:5760, "
-    "serial:/dev/ttyACM0:921600, tlog:flight.tlog?speed=1, ulog:flight.ulg or none"
+    "serial:/dev/ttyACM0:921600, tlog:flight.tlog?speed=1, ulog:flight.ulg, bin:flight.bin "
+    "or none"
 )
 
 
@@ -60,7 +62,7 @@ class LinkAddress:
                 return f"{self.scheme}:{host}:{self.port}"
             case "serial":
                 return f"serial:{self.path}:{self.baud}"
-            case "tlog" | "ulog":
+            case "tlog" | "ulog" | "bin":
                 return f"{self.scheme}:{self.path}?speed={self.speed:g}"
             case "none":
                 return "none"
@@ -81,9 +83,10 @@ def parse_address(text: str) -> LinkAddress:
         return LinkAddress("none")
     if text.startswith("/dev/"):
         return _serial(text, text)
-    for recorded, ending in RECORDING_ENDINGS.items():
-        if text.partition("?")[0].endswith(ending) and not text.startswith(f"{recorded}:"):
-            return _recording(text, recorded, text.removeprefix("file://").removeprefix("file:"))
+    if text.partition(":")[0].lower() not in SCHEMES:
+        for recorded, ending in RECORDING_ENDINGS.items():
+            if text.partition("?")[0].lower().endswith(ending):
+                return _recording(text, recorded, text.removeprefix("file://").removeprefix("file:"))
     if re.fullmatch(r"COM\d+.*", text, re.IGNORECASE):
         raise _mistake(text, "a Windows port, expected a Linux device such as /dev/ttyACM0")
 
@@ -102,7 +105,7 @@ def parse_address(text: str) -> LinkAddress:
 def is_recording(text: str) -> bool:
     """Whether an address, in any form, is of a recorded flight."""
     return any(
-        text.startswith(f"{scheme}:") or text.partition("?")[0].endswith(ending)
+        text.startswith(f"{scheme}:") or text.partition("?")[0].lower().endswith(ending)
         for scheme, ending in RECORDING_ENDINGS.items()
     )
 

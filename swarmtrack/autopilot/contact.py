@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.candidates import AutopilotAddress, Candidates
 from swarmtrack.autopilot.limits import LINK_NEWS_PERIOD_S
 
 log = logging.getLogger(__package__)
@@ -20,10 +21,12 @@ OPENING = "opening"
 class Contact:
     """State kept by `MavlinkAutopilot`; all times are ours [s].
 
-    expected_system: the configured vehicle, None for the first one heard; down: why there is no connection, None while
-    there is one; frames_before: good frames of earlier connections; heard_at: time of our autopilot's last message;
-    others: (system, component) of further senders, and their kind; signature_trouble: why signed frames are rejected;
-    kind: MAV_AUTOPILOT of the dialect: the autopilot's firmware, None until its first heartbeat.
+    expected_system: the configured vehicle, or None; candidates: autopilots heard; down: why there is no connection,
+    None while there is one; frames_before: good frames of earlier connections; heard_at: time of our autopilot's last
+    message; others: further senders, and their kind; signature_trouble: why signed frames are rejected; system,
+    component, kind, vehicle: of our autopilot, None before it is chosen; the last two are MAV_AUTOPILOT and MAV_TYPE;
+    changeling: type of vehicle that speaks under the ID of ours as well, and when it did last; shared_at: when ours
+    spoke after it; version_2_at: when ours last spoke MAVLink 2.
     """
 
     expected_system: int | None
@@ -33,13 +36,28 @@ class Contact:
     bytes: int = 0  # of this connection
     frames_before: int = 0
     system: int | None = None
+    component: int = common.MAV_COMP_ID_AUTOPILOT1
     kind: int | None = None
+    vehicle: int | None = None
+    changeling: str = ""
+    changeling_at: float = -math.inf
+    shared_at: float = -math.inf
+    version_2_at: float = -math.inf
     known_at: float = 0.0
     heard_at: float = -math.inf
-    others: dict[tuple[int, int], str] = field(default_factory=dict)
+    others: dict[AutopilotAddress, str] = field(default_factory=dict)
+    candidates: Candidates = field(init=False)
     signature_trouble: str = ""
     foreign: int = 0
     reconnects: int = 0
+
+    def __post_init__(self) -> None:
+        self.candidates = Candidates(self.expected_system)
+
+    @property
+    def address(self) -> AutopilotAddress:
+        """Of our autopilot, once it is chosen."""
+        return AutopilotAddress(self.system or 0, self.component)
 
 
 class RepeatLimiter:

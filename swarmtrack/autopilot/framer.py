@@ -8,12 +8,14 @@ agrees, and otherwise goes on at the next byte, so garbage between frames never 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
 import swarmtrack.mavlink_dialect  # noqa: F401 (adds a message to `common`)
+from swarmtrack.autopilot.limits import FRAMED_SENDERS
 
 V1, V2 = 0xFE, 0xFD
 HEADER_V1, HEADER_V2 = 6, 10  # bytes, magic included
@@ -49,7 +51,7 @@ class MavlinkFrame(NamedTuple):
 
 
 class Framer:
-    """Splits a stream or datagrams into frames and counts the rest.
+    """Splits a stream, datagrams or records into frames and counts the rest.
 
     good: frames; bad_bytes: bytes outside of all frames; crc_failures: headers of known messages with a wrong CRC;
     unknown: frames of messages that the dialect lacks. These cannot be checked, so they are never delivered; they are
@@ -61,6 +63,9 @@ class Framer:
         self.bad_bytes = 0
         self.crc_failures = 0
         self.unknown = 0
+        self._sender: Hashable = None
+        self._rests: OrderedDict[Hashable, bytes] = OrderedDict()
+        """By the sender, the beginning of a frame: of those that do not send just now."""
         self._buffer = bytearray()
         # Offsets into the buffer (negative: already gone). Bytes before `_counted` are accounted for; `_explained`
         # goes further, by `_claims` headers of unknown messages whose claimed ends are not confirmed yet.
@@ -82,14 +87,36 @@ class Framer:
         """The stream fell silent: the pending bytes are not a frame, but may contain one."""
         return self._scan(final=True)
 
+    def feed_from(self, sender: Hashable, data: bytes) -> list[MavlinkFrame]:
+        """Take the next datagram of a sender; return the frames that are complete.
+
+        A bridge may cut its stream into datagrams of any length, so the beginning of a frame waits for its rest. Of
+        each sender for itself, FRAMED_SENDERS at most.
+        """
+        if sender != self._sender:
+            rest = bytes(self._buffer)
+            self.bad_bytes += max(0, -self._counted)
+            self._buffer.clear()
+            self._counted = self._explained = self._claims = 0
+            if rest:
+                self._rests[self._sender] = rest
+            self._sender = sender
+            self._buffer += self._rests.pop(sender, b"")
+            while len(self._rests) > FRAMED_SENDERS:
+                _, lost = self._rests.popitem(last=False)
+                self.bad_bytes += len(lost)
+        return self.feed(data)
+
     def datagram(self, data: bytes) -> list[MavlinkFrame]:
-        """The frames of one datagram. Frames never span datagrams, so a truncated one spoils nothing after it."""
+        """The frames of one datagram or record, of which none spans two: a truncated one spoils nothing after it."""
         self.reset()
         self._buffer += data
         return self._scan(final=True)
 
     def reset(self) -> None:
         """Drop pending bytes (a new connection): they count as bad."""
+        self.bad_bytes += sum(map(len, self._rests.values()))
+        self._rests.clear()
         self._settle(len(self._buffer), confirmed=False)
         self._cut(len(self._buffer))
 

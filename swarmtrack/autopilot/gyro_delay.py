@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.candidates import AutopilotAddress
 from swarmtrack.autopilot.limits import (
     GYRO_DELAY_LONGEST_S,
     GYRO_DELAY_TOLD_SIGMA_S,
@@ -26,7 +27,7 @@ from swarmtrack.autopilot.limits import (
     PARAMETER_REQUESTS,
 )
 from swarmtrack.autopilot.parameters import ParameterReader
-from swarmtrack.autopilot.streams import ATTITUDE_QUATERNION
+from swarmtrack.autopilot.streams import ATTITUDE_MESSAGES
 
 log = logging.getLogger(__package__)
 
@@ -120,9 +121,9 @@ class GyroDelays:
         """
         self._reader.restart()
 
-    def tick(self, now: float, system: int) -> list[Any]:
+    def tick(self, now: float, target: AutopilotAddress) -> list[Any]:
         """Requests to send now."""
-        return self._reader.tick(now, system)
+        return self._reader.tick(now, target)
 
     def on_value(self, t: float, m: Any) -> None:
         """PARAM_VALUE has come, whichever process asked for it."""
@@ -131,7 +132,7 @@ class GyroDelays:
 
     def of(self, message_id: int) -> GyroDelay:
         """Delay of the angular velocity in this message."""
-        return self._of_rates if message_id == ATTITUDE_QUATERNION else self._of_imu
+        return self._of_rates if message_id in ATTITUDE_MESSAGES else self._of_imu
 
     def log_delay(self, message_id: int) -> None:
         """Log the gyro's assumed delay, once and on change; not while an answer is due."""

@@ -21,10 +21,25 @@ LINK_SEND_BUFFER_BYTES = 4096
 # piece.
 RECORDS_PER_TURN = 200
 DATAGRAMS_PER_TURN = 200
+# Senders of datagrams whose cut frames wait for their rest, until it is known which one is the autopilot.
+FRAMED_SENDERS = 8
 # Between two records, or from a log's middle to its ends; what claims more is no stamp.
 LONGEST_RECORDING_S = 86_400.0
-# Of a stream: the rest of a frame would have come, so its header was false.
-FRAME_FLUSH_AFTER_S = 0.05
+# Beyond it a counter of milliseconds does not fit into 32 bits; what says more counts from 1970.
+LONGEST_UPTIME_S = 4.2e6
+# Telemetry logs (`tlog`): stamps of neighbours that are farther apart are a pause, or a step of the log's clock; and
+# how much of the log on either side tells which.
+TLOG_PAUSE_S, TLOG_WINDOW_S, TLOG_WINDOW_RECORDS = 0.5, 5.0, 1000
+# Logs (`log_files`): of the processor's time before a file is given up; ten times what was measured.
+LOG_READ_S, LOG_READ_S_PER_MB = 1.5, 2.0
+# Of a ULog's definitions (`ulog_definitions`): PX4's largest topic has some 200 fields, its deepest two formats within.
+ULOG_MOST_FIELDS, ULOG_DEEPEST_FORMAT = 1024, 8
+# Of all its topics together, some 10 000.
+ULOG_MOST_SUBSCRIBED_FIELDS = 100_000
+# Bytes, of one definition of an unknown type; and of what is no definition, over which it is looked for the next one.
+ULOG_LARGEST_DEFINITION, ULOG_MOST_DAMAGED_BYTES = 10_000, 10_000
+# The rest of a frame would have come, so its header was false. A slow radio sends a few times per second.
+FRAME_FLUSH_AFTER_S = 0.3
 
 # Contact (`mavlink_autopilot`, `link_state`, `contact`): also what makes routers learn us.
 AGENT_HEARTBEAT_PERIOD_S = 1.0
@@ -35,8 +50,8 @@ TCP_SILENT_S = 5.0
 FIRST_RETRY_S, LONGEST_RETRY_S = 0.5, 5.0
 # What the sensors themselves reach.
 FASTEST_IMU_HZ = 8000.0
-# Kept until a heartbeat tells whose they are: more than a second of a fast link.
-EARLY_FRAMES_KEPT = 1000
+# Kept until it is known whose they are: more than two seconds of a fast link.
+EARLY_FRAMES_KEPT = 2000
 # Other systems remembered by name.
 NAMED_SOURCES = 8
 # Without any message of the autopilot for so long, it is lost.
@@ -73,8 +88,12 @@ GPS_FIX_HZ = 5.0
 RANGE_FINDER_HZ = 4.0
 PILOT_SWITCH_HZ = 5.0
 CURRENT_MODE_HZ = 5.0
-# Poses that are made of a ULog.
-ULOG_POSES_HZ = 50.0
+# Above the sea: what says more is damaged.
+HIGHEST_PLACE_M = 1e5
+# Between two logged places of which a velocity is made.
+POSITION_GAP_S = 0.5
+# Poses that are made of an autopilot's own log.
+LOGGED_POSES_HZ = 50.0
 # Of what the line carries may be ours; the rest is for parameters and other programs.
 LINE_SHARE = 0.7
 
@@ -94,6 +113,8 @@ LOCAL_POSITION_SIGMA_M = 0.1
 LOCAL_POSITION_AGE_S = 0.5
 # Between a pose's mapped time and its arrival: it is stamped by another clock.
 POSE_CLOCK_MISMATCH_S = 5.0
+# In a row, before a clock of the poses' own is believed.
+OTHER_BASE_STAMPS = 5
 # The first exchanges come faster, so that sigma is soon known.
 TIMESYNC_PERIOD_S = 1.0
 TIMESYNC_FIRST_EXCHANGES, TIMESYNC_FIRST_PERIOD_S = 10, 0.2
@@ -166,3 +187,41 @@ SHORTEST_CHANNEL_US, LONGEST_CHANNEL_US = 800, 2200
 CHANNEL_FORGOTTEN_AFTER_S = 2.0
 # Below the threshold: a channel that trembles there is thrown once.
 CHANNEL_TREMBLES_US = 50
+
+# Boot clock (`boot_clock`): by so much a stamp may be ahead of the one before it; and by so much per second that passes
+# beyond a usual interval, of a simulator that runs faster than time.
+CLOCK_AHEAD_S, CLOCK_AHEAD_RATE, CLOCK_INTERVAL_S = 0.5, 20.0, 0.05
+# Stamps at the beginning that may leap, for what a buffer had held back comes first.
+CLOCK_FIRST_READINGS = 20
+# A rebooted clock counts less than the time since it was last read, give or take what a buffer held back.
+REBOOT_SLACK_S = 0.5
+# Stamps of another clock in a row before it is believed, after less than the shortest reboot.
+REBOOT_READINGS = 3
+# Ours must be silent so long before another clock takes its place without a reboot.
+CLOCK_REPLACED_AFTER_S = 3.0
+# Every autopilot takes longer to reboot, a simulated one aside: within it, a counter that begins again has wrapped.
+SHORTEST_REBOOT_S = 1.0
+# So long after a message its copies are recognised: the slowest second way there was took 1.3 s.
+COPY_REMEMBERED_S = 30.0
+# So long after the last copy a message without a stamp that equals an earlier one to the byte is a copy as well.
+COPIES_EXPECTED_S = 5.0
+# In one window of the gyro's rate: from so many copies on they are said. A single one is no news.
+COPIES_SAID = 20
+# Of the stamps that came: from this share on, those of a second clock are a second autopilot's.
+SECOND_CLOCK_SHARE = 0.2
+
+# Who is the autopilot (`candidates`): heartbeats come once per second, so after so long everyone has been heard.
+CANDIDATES_HEARD_S = 1.2
+# Without a heartbeat for so long another autopilot is gone.
+CANDIDATE_GONE_S = 3.0
+
+# What is used (`intake`): so many must be thrown away in a window until that is a fault.
+INTAKE_LEAST = 4
+# Below, a turn within a sample moves tracks by more than their own size.
+SLOWEST_USEFUL_GYRO_HZ = 50.0
+# Without an attitude for so long beside a gyro, there is none.
+POSE_MISSED_S = 3.0
+# An attitude as a quaternion must be silent so long before Euler angles are used.
+QUATERNION_PREFERRED_S = 1.0
+# Unanswered for so long by an autopilot that speaks MAVLink 1, we speak that too.
+MAVLINK_1_AFTER_S = 2.0

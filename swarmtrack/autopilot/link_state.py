@@ -1,10 +1,13 @@
 """State of the link to an autopilot, and in one sentence why it is not streaming.
 
-    searching ── heartbeat of an autopilot ──▶ requesting ── first IMU sample ──▶ streaming ◀──▶ stale (0.5 s)
-        ▲                                          ▲                                   │
-        └──── connection gone, tried again ────────┴──────────── lost (3 s) ◀──────────┘
+    searching ── ours among the autopilots ──▶ requesting ── first IMU sample ──▶ streaming ◀──▶ stale (0.5 s)
+        ▲                                          ▲                                 │  ◀──▶ no pose (3 s)
+        │                                          │                                 │  ◀──▶ faulty
+        └──── connection gone, tried again ────────┴──────────── lost (3 s) ◀────────┘
 
-Every state but streaming names its reason within 3 s: in `status`, and as one line in the log when it changes.
+Faulty is what streams and is of no use: two autopilots under one ID, or one too many; more thrown away than used; a
+gyro that is too slow. Every state but streaming names its reason within 3 s: in `status`, and as one line in the log
+when it changes.
 """
 
 from __future__ import annotations
@@ -14,15 +17,24 @@ import logging
 import math
 from dataclasses import dataclass
 
+from swarmtrack.autopilot.candidates import vehicle_name
 from swarmtrack.autopilot.contact import OPENING, Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
-from swarmtrack.autopilot.limits import AUTOPILOT_LOST_AFTER_S, IMU_STALE_AFTER_S, SILENCE_DIAGNOSED_AFTER_S
+from swarmtrack.autopilot.limits import (
+    AUTOPILOT_LOST_AFTER_S,
+    CANDIDATE_GONE_S,
+    IMU_STALE_AFTER_S,
+    SILENCE_DIAGNOSED_AFTER_S,
+    SLOWEST_USEFUL_GYRO_HZ,
+)
 from swarmtrack.autopilot.links import Link
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
 from swarmtrack.autopilot.signing import Codec
 from swarmtrack.autopilot.streams import StreamRequests
 from swarmtrack.autopilot.telemetry import Telemetry
 from swarmtrack.messages import LinkStatus
+
+SET_SYSTEM = "set autopilot.system_id to that of this drone"
 
 
 class State(enum.StrEnum):
@@ -32,6 +44,8 @@ class State(enum.StrEnum):
     REQUESTING = "requesting"
     STREAMING = "streaming"
     STALE = "stale"
+    NO_POSE = "no pose"
+    FAULTY = "faulty"
     LOST = "lost"
     ENDED = "ended"  # a recording has been played to its end
 
@@ -58,6 +72,8 @@ class LinkState:
         contact, telemetry, address = self.contact, self.telemetry, self.link.address
         if self.state is State.STALE or contact.down == OPENING:
             return  # a hiccup until it is called lost; nothing to say until the first attempt is over
+        if self.state is State.SEARCHING and contact.candidates.listens(now):
+            return
         if self.state is State.STREAMING and not telemetry.lack(now):
             if self._trouble and telemetry.imu_rate_hz:  # the line tells the rate, so wait until it is known
                 self._trouble = ""
@@ -79,12 +95,45 @@ class LinkState:
             return State.SEARCHING
         if now - contact.heard_at > AUTOPILOT_LOST_AFTER_S:
             return State.LOST
+        if self._fault(now) is not None:
+            return State.FAULTY
         silence = now - telemetry.imu_at
         if silence > AUTOPILOT_LOST_AFTER_S:
             return State.REQUESTING
-        return (
-            State.STALE if silence > max(IMU_STALE_AFTER_S, 3 * telemetry.cadence.period) else State.STREAMING
-        )
+        if silence > max(IMU_STALE_AFTER_S, 3 * telemetry.cadence.period):
+            return State.STALE
+        return State.NO_POSE if telemetry.has_no_pose(now) else State.STREAMING
+
+    def is_shared(self, now: float) -> bool:
+        """Whether two autopilots speak under the ID of ours."""
+        return self._sharing(now) != ""
+
+    def _sharing(self, now: float) -> str:
+        """By what two autopilots under our ID are told apart, in words; empty where there is one."""
+        contact, apart = self.contact, self.telemetry.second_clock
+        if contact.vehicle is not None and now - contact.shared_at < CANDIDATE_GONE_S:
+            return f"a {vehicle_name(contact.vehicle)} and a {contact.changeling}"
+        return "" if apart is None else f"their clocks are {abs(apart):.3g} s apart"
+
+    def _fault(self, now: float) -> tuple[str, str, str] | None:
+        """(name, text, trouble for a pilot) of what streams and is of no use; None where all is well."""
+        contact, telemetry = self.contact, self.telemetry
+        if sharing := self._sharing(now):
+            text = (
+                f"two autopilots speak as system {contact.system} component {contact.component}, {sharing}: "
+                "give each vehicle an ID of its own (ArduPilot SYSID_THISMAV or MAV_SYSID, PX4 MAV_SYS_ID)"
+            )
+            return "shared", text, "no single autopilot"
+        if rivals := contact.candidates.rivals(contact.address, now):
+            names = " and ".join(map(str, rivals))
+            text = f"two autopilots speak, {contact.address} is used and {names} came later: {SET_SYSTEM}"
+            return "rival", text, "no single autopilot"
+        if telemetry.fault:
+            return telemetry.fault.partition(": ")[2], telemetry.fault, "no sound data"
+        if telemetry.slow_gyro:
+            text = f"the gyro is too slow, at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed: {self._imu_text(now)}"
+            return "slow", text, "no fast IMU"
+        return None
 
     def _sentence(self, now: float) -> tuple[str, str]:
         """(name, text) of the present state; the name does not change while only a number does."""
@@ -93,7 +142,7 @@ class LinkState:
             return contact.down, contact.down if contact.down == OPENING else f"{contact.down}; trying again"
         match self.state:
             case State.SEARCHING:
-                return self._why_no_autopilot()
+                return self._why_no_autopilot(now)
             case State.LOST:
                 why, valid = (
                     (f": {contact.signature_trouble}", " valid") if contact.signature_trouble else ("", "")
@@ -104,8 +153,18 @@ class LinkState:
                 return "no imu", "heartbeat, no IMU" + (
                     "" if self.link.recording else f" ({self.requests.imu.name} asked for)"
                 )
+            case State.ENDED if contact.system is None:
+                return self._why_no_autopilot(now)
             case State.ENDED:
                 return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
+            case State.NO_POSE:
+                lack = "neither ATTITUDE_QUATERNION nor ATTITUDE comes"
+                if thrown := str(telemetry.attitudes):
+                    lack = f"no attitude is usable: {thrown}"
+                return "no pose", f"{self._imu_text(now)}, but {lack}"
+            case State.FAULTY:
+                name, text, _ = self._fault(now) or ("faulty", "just now", "")
+                return name, text
             case State.STALE:
                 return "stale", f"no IMU sample for {now - telemetry.imu_at:.1f} s"
             case State.STREAMING if lack := telemetry.lack(now):
@@ -113,7 +172,7 @@ class LinkState:
             case State.STREAMING:
                 return "streaming", self._imu_text(now)
 
-    def _why_no_autopilot(self) -> tuple[str, str]:
+    def _why_no_autopilot(self, now: float) -> tuple[str, str]:
         framer, contact = self.framer, self.contact
         if not contact.bytes:
             remark = f" ({self.link.remark})" if self.link.remark else ""
@@ -123,7 +182,13 @@ class LinkState:
             return "no frame", f"bytes but no valid frame: {guess} ({framer.bad_bytes} bad)"
         if contact.signature_trouble:
             return "signature", f"frames, but {contact.signature_trouble}"
-        others = ", ".join(f"{s}/{c} {what}".strip() for (s, c), what in contact.others.items())
+        if contact.candidates.listens(now):
+            return "listening", "an autopilot is heard, listening for others"
+        if ambiguous := contact.candidates.ambiguous():
+            names = " and ".join(map(str, ambiguous))
+            number = "two" if len(ambiguous) == 2 else len(ambiguous)
+            return "ambiguous", f"{number} autopilots speak, {names}: {SET_SYSTEM}"
+        others = ", ".join(f"{at} {what}".strip() for at, what in contact.others.items())
         expected = "" if contact.expected_system is None else f" of system {contact.expected_system}"
         return (
             "no heartbeat",
@@ -140,12 +205,21 @@ class LinkState:
         asked = "" if self.link.recording else f"{self.requests.imu_stream.asked_hz:g} Hz asked, "
         switch = f", {self.switch.in_words(now)}" if self.switch else ""
         source = telemetry.imu_source.name
-        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}"
+        place = ", no LOCAL_POSITION_NED comes" if telemetry.has_no_place(now) else ""
+        copies = f", {telemetry.copies} copies dropped" if telemetry.copies else ""
+        beside = ", ".join(map(str, self.contact.candidates.beside(self.contact.address, now)))
+        heard = f", beside {beside}" if beside else ""
+        return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}{place}{copies}{heard}"
 
     def trouble(self, now: float) -> str:
         """What is missing, in a few words for a pilot; empty for a short gap."""
         if self.state in (State.STREAMING, State.STALE, State.ENDED):
             return "no position" if self.telemetry.lack(now) else ""
+        if self.state is State.NO_POSE:
+            return "no attitude"
+        if self.state is State.FAULTY:
+            fault = self._fault(now)
+            return "" if fault is None else fault[2]
         return "no IMU" if self.state is State.REQUESTING else "no autopilot"
 
     def status(self, now: float) -> LinkStatus:
@@ -175,5 +249,6 @@ class LinkState:
                 "signed_old": codec.signed_old,
                 "unsigned": codec.unsigned,
             }
-        ok = self.state is State.ENDED or (self.state is State.STREAMING and not self.telemetry.lack(now))
+        ended = self.state is State.ENDED and self.contact.system is not None
+        ok = ended or (self.state is State.STREAMING and not self.telemetry.lack(now))
         return LinkStatus("autopilot", ok, text, tuple(counters.items()))

@@ -14,31 +14,36 @@ import logging
 import math
 import mmap
 import os
-import re
 import socket
 import termios
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, Protocol, cast
 
 import serial
 
 from swarmtrack.autopilot.address import LinkAddress, parse_address
+from swarmtrack.autopilot.dataflash import read_dataflash
 from swarmtrack.autopilot.datagrams import Address, DatagramSocket, open_socket
 from swarmtrack.autopilot.limits import (
     LINK_CONNECT_TIMEOUT_S,
     LINK_SEND_BUFFER_BYTES,
-    LONGEST_RECORDING_S,
     RECORDS_PER_TURN,
     SERIAL_READ_BYTES,
     UDP_PEER_SILENT_S,
 )
+from swarmtrack.autopilot.log_files import check_kind
+from swarmtrack.autopilot.logged_flight import LoggedFlight
+from swarmtrack.autopilot.tlog import records
 from swarmtrack.autopilot.ulog import read_ulog
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 
 log = logging.getLogger(__name__)
+
+LOG_READERS: dict[str, Callable[[Path], LoggedFlight]] = {"ulog": read_ulog, "bin": read_dataflash}
 
 
 class LinkDown(Exception):
@@ -59,17 +64,18 @@ class Receiver(Protocol):
         """The port is open, the connection stands."""
         ...
 
-    def received(self, t: float, data: bytes) -> bool:
-        """`data` came at t on our clock; True when it held a frame of our own autopilot."""
+    def received(self, t: float, data: bytes, sender: Address | None = None) -> bool:
+        """`data` came at t on our clock; True when it held a frame of our own autopilot. sender: of a datagram."""
         ...
 
 
 class Link(Protocol):
     """One link to an autopilot.
 
-    datagrams: `received` gets whole ones; recording: time comes from the file, sending goes nowhere; bytes_per_second:
-    capacity of the line, None where it hardly matters; remark: the last fault that did not end the connection, or
-    empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the start.
+    datagrams: `received` gets them one by one; recording: time comes from the file, sending goes nowhere;
+    bytes_per_second: capacity of the line, None where it hardly matters; remark: the last fault that did not end the
+    connection, or empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the
+    start.
     """
 
     address: LinkAddress
@@ -106,8 +112,8 @@ def open_link(address: str, clock: Clock) -> Link:
             return SerialLink(parsed, clock)
         case "tlog":
             return TlogLink(parsed, clock)
-        case "ulog":
-            return UlogLink(parsed, clock)
+        case "ulog" | "bin":
+            return LoggedLink(parsed, clock)
         case "none":
             return NoLink(parsed)
 
@@ -196,11 +202,15 @@ class UdpLink(LiveLink):
             for arrival, data, sender in opened.waiting():
                 if self._peer not in (None, sender) and arrival - self._heard_at < UDP_PEER_SILENT_S:
                     self._refuse(sender)
-                elif receiver.received(arrival, data):
-                    self._peer, self._heard_at = sender, arrival
-                    self.remark = ""
+                elif receiver.received(arrival, data, sender):
+                    self.meet(sender, arrival)
         except OSError as error:
             self._note(error)
+
+    def meet(self, peer: Address, t: float) -> None:
+        """Our autopilot was heard from there at t [s]."""
+        self._peer, self._heard_at = peer, t
+        self.remark = ""
 
     def _why(self, error: OSError) -> str:
         if error.errno == errno.EADDRINUSE:
@@ -449,12 +459,25 @@ class RecordingLink(ABC):
 class TlogLink(RecordingLink):
     """A recording of a ground station: 8 bytes of big-endian UTC microseconds before each frame."""
 
+    # Some programs write whatever they have read.
+    datagrams = False
+
     async def run(self, receiver: Receiver) -> None:
         with self._map() as data:
             receiver.opened()
-            await self._play(records(data), receiver)
+            await self._play(records(data, self._on_step), receiver)
+
+    def _on_step(self, at: float, by: float) -> None:
+        log.warning(
+            "%s: the clock of the computer that wrote it was set by %+.1f s at %.1f s: its times go on by the "
+            "autopilot's clock",
+            self.address,
+            by,
+            at,
+        )
 
     def _map(self) -> mmap.mmap:
+        check_kind(Path(self.address.path), "tlog")
         try:
             with Path(self.address.path).open("rb") as file:
                 return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -462,39 +485,24 @@ class TlogLink(RecordingLink):
             raise SourceError(f"autopilot link {self.address}: {error}") from error
 
 
-class UlogLink(RecordingLink):
-    """PX4's own log, as the telemetry it would have sent meanwhile."""
+class LoggedLink(RecordingLink):
+    """An autopilot's own log, as the telemetry it would have sent meanwhile."""
 
     async def run(self, receiver: Receiver) -> None:
-        flight = read_ulog(Path(self.address.path))
+        flight = read_log(self.address.scheme, Path(self.address.path))
+        _read_log.cache_clear()
         receiver.opened()
         await self._play(flight.records, receiver)
 
 
-STAMP_LENGTH = 8
-# A stamp of the years 2004 … 2100 in microseconds with a magic byte behind it.
-RECORD = re.compile(rb"\x00[\x03-\x0e].{6}[\xfd\xfe]", re.DOTALL)
+def read_log(scheme: str, path: Path) -> LoggedFlight:
+    """An autopilot's own log. The last one is kept until it is played."""
+    return _read_log(scheme, path, path.stat().st_mtime_ns)
 
 
-def records(data: mmap.mmap | bytes) -> Iterator[tuple[float, bytes]]:
-    """(UTC [s], bytes) of each record of a telemetry log.
-
-    A record ends where the next plausible stamp stands with a magic byte behind it, not where its own header claims:
-    so a damaged one costs no other. Whether the bytes are a frame is the framer's to judge.
-    """
-    last: tuple[float, int] | None = None  # stamp, and where the bytes after it begin
-    position = 0
-    while (match := RECORD.search(data, position)) is not None:
-        start = match.start()
-        stamp = int.from_bytes(data[start : start + STAMP_LENGTH], "big") * 1e-6
-        position = start + 1
-        if last is None or abs(stamp - last[0]) < LONGEST_RECORDING_S:
-            if last is not None:
-                yield last[0], data[last[1] : start]
-            position = start + STAMP_LENGTH
-            last = (stamp, position)
-    if last is not None:
-        yield last[0], data[last[1] :]
+@lru_cache(maxsize=1)
+def _read_log(scheme: str, path: Path, changed_ns: int) -> LoggedFlight:
+    return LOG_READERS[scheme](path)
 
 
 class Holder:

@@ -1,7 +1,7 @@
 """The autopilot at the other end of a MAVLink link: found, configured to send what we need, and read.
 
-The autopilot is component 1 of the first system whose HEARTBEAT names an autopilot, or of the configured system. It
-stays that one: a neighbour's autopilot on the same radio must not take its place while ours is silent.
+Which of the autopilots on the link is ours, candidates.py says after a little more than a second. It stays that one: a
+neighbour's autopilot on the same radio must not take its place while ours is silent.
 
 telemetry.py turns its messages into samples and poses; streams.py decides which streams to request; link_state.py
 reports the link's state and why nothing comes.
@@ -20,15 +20,19 @@ from typing import Any, NamedTuple
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.arguments import page
+from swarmtrack.autopilot.account import Account
+from swarmtrack.autopilot.candidates import AutopilotAddress, Candidate, vehicle_name
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter, heartbeat
+from swarmtrack.autopilot.datagrams import Address
 from swarmtrack.autopilot.engagement import PilotEngagement
 from swarmtrack.autopilot.flight import FlightWatch
-from swarmtrack.autopilot.framer import FAST_CRC, Framer, MavlinkFrame
+from swarmtrack.autopilot.framer import FAST_CRC, V2, Framer, MavlinkFrame
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelays
 from swarmtrack.autopilot.limits import (
     AGENT_HEARTBEAT_PERIOD_S,
     AUTOPILOT_LOST_AFTER_S,
+    CANDIDATE_GONE_S,
     CURRENT_MODE_HZ,
     EARLY_FRAMES_KEPT,
     FASTEST_IMU_HZ,
@@ -37,12 +41,13 @@ from swarmtrack.autopilot.limits import (
     LINE_SHARE,
     LINK_TICK_S,
     LONGEST_RETRY_S,
+    MAVLINK_1_AFTER_S,
     NAMED_SOURCES,
     PILOT_SWITCH_HZ,
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
-from swarmtrack.autopilot.links import Link, LinkDown, Wire, open_link
+from swarmtrack.autopilot.links import Link, LinkDown, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.signing import Codec, read_key
@@ -56,7 +61,7 @@ from swarmtrack.sources import AutopilotListener
 
 log = logging.getLogger(__name__)
 
-AUTOPILOT_COMPONENT: int = common.MAV_COMP_ID_AUTOPILOT1
+HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
 
 
 def _check(imu_rate_hz: float, system_id: int | None) -> None:
@@ -80,21 +85,23 @@ def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
 
 class WayToAutopilot(NamedTuple):
     """wire: an open link; opened_at [s]: since when, so that another connection is another one; system: the
-    vehicle's; component: ours.
+    vehicle's; component: ours; target: the autopilot's component; version_1: it hears MAVLink 1 only.
     """
 
     wire: Wire
     opened_at: float
     system: int
     component: int
+    target: int
+    version_1: bool
 
 
 class MavlinkAutopilot:
     """An `Autopilot` (sources.py) at a MAVLink address.
 
-    link: an address such as `udpin:127.0.0.1:14540`, or a link already made; system_id: the vehicle to listen to, None
-    for the first one heard; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode 0600,
-    see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
+    link: an address such as `udpin:127.0.0.1:14540`, or a link already made; system_id: the vehicle to listen to,
+    None for the only one on the link; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode
+    0600, see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
     gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched; engagement:
     is told of the flight mode. Raises `SourceError` for what can never work.
 
@@ -142,6 +149,7 @@ class MavlinkAutopilot:
             gps=gps,
             send=self._send,
             gyro_delays=self._gyro_delays,
+            recorded=self._link.recording,
             name=name,
         )
         self._link_state = LinkState(
@@ -156,8 +164,13 @@ class MavlinkAutopilot:
         )
         self._readers = self._make_readers()
         self._parameters: ParameterReader | None = None
+        self._account = Account(self._link.address.scheme)
         self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
         self._next_heartbeat = self._next_tick = -math.inf
+        self._senders: dict[AutopilotAddress, tuple[Address | None, float]] = {}
+        """Where a datagram of each last came from, and when; until it is known which one is ours."""
+        self._met_at = math.inf
+        """When our autopilot was chosen."""
         self._greeted = False
 
     @property
@@ -168,7 +181,7 @@ class MavlinkAutopilot:
     def _make_readers(self) -> dict[int, Callable[[float, Any], None]]:
         """By message."""
         readers: dict[int, Callable[[float, Any], None]] = {
-            common.MAVLINK_MSG_ID_HEARTBEAT: self._on_heartbeat,
+            HEARTBEAT: self._on_heartbeat,
             common.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: self._flight.on_landed_state,
             common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             **self._telemetry.readers,
@@ -207,6 +220,9 @@ class MavlinkAutopilot:
             )
         if self._link.recording:
             await self._link.run(self)
+            now = self._now()
+            self._look_for_autopilot(now, final=True)
+            self._telemetry.end(now)
             self._link_state.state = State.ENDED
             return
         async with asyncio.TaskGroup() as tasks:
@@ -235,6 +251,7 @@ class MavlinkAutopilot:
     def tick(self, now: float) -> None:
         """Handle the passage of time: silence, heartbeats, unanswered requests."""
         contact = self._contact
+        self._look_for_autopilot(now)
         if self._framer.pending and now - contact.received_at > FRAME_FLUSH_AFTER_S:
             self._take(now, self._framer.flush())
         if contact.down is None and not self._link.recording:
@@ -244,20 +261,40 @@ class MavlinkAutopilot:
                 self._link.drop(f"silent for {TCP_SILENT_S:g} s")
         self._telemetry.measure(now)
         self._link_state.update(now)
+        if self._engagement is not None and self._link_state.is_shared(now):
+            self._engagement.fail(f"two autopilots speak as system {self.system}")
 
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + AGENT_HEARTBEAT_PERIOD_S
-            self._send(heartbeat(common.MAV_TYPE_ONBOARD_CONTROLLER))
+            beat = heartbeat(common.MAV_TYPE_ONBOARD_CONTROLLER)
+            self._send(beat)
+            if self._codec.speaks_version_1:
+                # Who understands it speaks it from then on.
+                self._link.send(self._codec.encode(beat, version_2=True))
         contact = self._contact
         if contact.system is None or now - contact.heard_at > AUTOPILOT_LOST_AFTER_S:
             return
-        asked = self._requests.tick(now, contact.system) + self._gyro_delays.tick(now, contact.system)
+        self._choose_version(now)
+        target = contact.address
+        asked = self._requests.tick(now, target) + self._gyro_delays.tick(now, target)
         if self._parameters is not None:
-            asked += self._parameters.tick(now, contact.system)
+            asked += self._parameters.tick(now, target)
         for message in asked:
             self._send(message)
         self._telemetry.ask_time(now)
+
+    def _choose_version(self, now: float) -> None:
+        """MAVLink 2, which most autopilots speak once they hear it; else what this one speaks."""
+        contact, codec = self._contact, self._codec
+        waited = now - max(self._met_at, contact.opened_at) > MAVLINK_1_AFTER_S
+        version_1 = waited and not codec.has_key and contact.version_2_at < contact.opened_at
+        if version_1 and not codec.speaks_version_1:
+            log.info(
+                "%s: autopilot %s speaks MAVLink 1 only, and so do we", self._link.address, contact.system
+            )
+            self._requests.reset()
+        codec.speaks_version_1 = version_1
 
     def _send(self, message: Any) -> None:
         self._link.send(self._codec.encode(message))
@@ -270,6 +307,16 @@ class MavlinkAutopilot:
     def status(self) -> LinkStatus:
         """One line for people, and the counters, all since the start."""
         return self._link_state.status(self._now())
+
+    def account(self) -> list[str]:
+        """What came of our autopilot, what was used, and why not the rest, one sentence each. Raises SourceError where
+        several may be ours.
+        """
+        contact = self._contact
+        if contact.system is None:
+            raise SourceError(self.status().text)
+        unread = frozenset(common.mavlink_map) - self._readers.keys()
+        return list(self._account.lines(contact, self._framer, self._telemetry, unread))
 
     @property
     def trouble(self) -> str:
@@ -301,7 +348,15 @@ class MavlinkAutopilot:
         wire = None if self._is_deaf() else self._link.wire()
         if wire is None:
             return None
-        return WayToAutopilot(wire, self._contact.opened_at, self._codec.system, self._codec.component)
+        contact, codec = self._contact, self._codec
+        return WayToAutopilot(
+            wire,
+            contact.opened_at,
+            codec.system,
+            codec.component,
+            target=contact.component,
+            version_1=codec.speaks_version_1,
+        )
 
     def send_message(self, message: Any) -> bool:
         """Send a message of the dialect to the autopilot, and through it to ground stations. Never blocks.
@@ -329,22 +384,28 @@ class MavlinkAutopilot:
         contact.frames_before = self._framer.good
         self._framer.reset()
         self._early.clear()
+        self._senders.clear()
         self._requests.reset()
         self._telemetry.opened()
         self._next_heartbeat = -math.inf
 
-    def received(self, t: float, data: bytes) -> bool:
+    def received(self, t: float, data: bytes, sender: Address | None = None) -> bool:
         """Bytes came at t; True when a valid frame of our autopilot was among them."""
         self._contact.received_at = t
         self._contact.bytes += len(data)
-        frames = self._framer.datagram(data) if self._link.datagrams else self._framer.feed(data)
-        ours = self._take(t, frames)
+        if not self._link.datagrams:
+            frames = self._framer.feed(data)
+        elif self._link.recording:
+            frames = self._framer.datagram(data)
+        else:
+            frames = self._framer.feed_from(sender, data)
+        ours = self._take(t, frames, sender)
         if self._link.recording and t >= self._next_tick:
             self._next_tick = t + LINK_TICK_S
             self.tick(t)
         return ours
 
-    def _take(self, t: float, frames: list[MavlinkFrame]) -> bool:
+    def _take(self, t: float, frames: list[MavlinkFrame], sender: Address | None = None) -> bool:
         ours = False
         for frame in frames:
             # Decoded once, in the order of arrival: a signed frame that is decoded again counts as replayed.
@@ -352,36 +413,44 @@ class MavlinkAutopilot:
             if self._contact.system is not None:
                 ours |= self._on_frame(t, frame, message)
                 continue
-            # What came before the first heartbeat is not lost, once it is known whose it was.
+            # What came before it is known whose it was is not lost.
             self._early.append((t, frame, message))
-            if self._is_autopilot(t, frame, message):
-                while self._early:
-                    ours |= self._on_frame(*self._early.popleft())
+            self._note_source(t, frame, message)
+            self._senders[AutopilotAddress(frame.system, frame.component)] = sender, t
+            ours |= self._look_for_autopilot(t)
         return ours
 
     def _is_read(self, frame: MavlinkFrame) -> bool:
         """Whether the frame is worth decoding: it is our autopilot's, or may turn out to be."""
         contact = self._contact
-        if contact.system is None and frame.id == common.MAVLINK_MSG_ID_HEARTBEAT:
-            return True
-        system = contact.expected_system if contact.system is None else contact.system
-        return (
-            frame.id in self._readers
-            and frame.component == AUTOPILOT_COMPONENT
-            and system in (None, frame.system)
-        )
+        if contact.system is None:
+            return frame.id == HEARTBEAT or (
+                frame.id in self._readers and contact.expected_system in (None, frame.system)
+            )
+        if (frame.system, frame.component) == contact.address:
+            return frame.id in self._readers
+        # Of others, whether they are autopilots; but with a key, what they say is not for us to verify.
+        return frame.id == HEARTBEAT and not self._codec.has_key
 
     def _on_frame(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
         """Take a frame once the autopilot is known; message: what it decodes to, None where it was refused."""
         contact = self._contact
-        if frame.component != AUTOPILOT_COMPONENT or frame.system != contact.system:
+        address = AutopilotAddress(frame.system, frame.component)
+        if address != contact.address:
             contact.foreign += 1
+            if frame.id == HEARTBEAT and message is not None:
+                contact.candidates.on_heartbeat(t, address, message)
             return False
+        if frame.data[0] == V2:
+            contact.version_2_at = t
+        self._account.add(t, frame.id)
         reader = self._readers.get(frame.id)
         if reader is None:
             # Not worth decoding; but with a key, what was not verified proves nobody's presence.
             return not self._codec.has_key
         if message is None:
+            return False
+        if frame.id not in self._telemetry.stamped and self._telemetry.is_copy(t, frame.id, frame.data):
             return False
         contact.heard_at = t
         contact.signature_trouble = ""
@@ -401,34 +470,48 @@ class MavlinkAutopilot:
 
     # ── who it is ────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _is_autopilot(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
-        """Whether this frame is the heartbeat of the autopilot we look for; then it is ours from now on."""
+    def _note_source(self, t: float, frame: MavlinkFrame, message: Any | None) -> None:
+        """Who speaks, as long as our autopilot is not known."""
         contact = self._contact
-        source = (frame.system, frame.component)
-        if frame.id != common.MAVLINK_MSG_ID_HEARTBEAT:
-            if len(contact.others) < NAMED_SOURCES:
-                contact.others.setdefault(source, "")
+        address = AutopilotAddress(frame.system, frame.component)
+        candidate = None
+        if frame.id == HEARTBEAT and message is not None:
+            candidate = contact.candidates.on_heartbeat(t, address, message)
+        if address in contact.others or len(contact.others) < NAMED_SOURCES:
+            named = "" if candidate is None else candidate.name
+            contact.others[address] = named or contact.others.get(address, "")
+
+    def _look_for_autopilot(self, now: float, *, final: bool = False) -> bool:
+        """Once it is clear which one is ours, deliver what it has said; True where a frame of it was among that. final:
+        nobody else will be heard.
+        """
+        contact = self._contact
+        if contact.system is not None:
             return False
-        if message is None:
+        candidate = contact.candidates.choose(now, final=final)
+        if candidate is None:
             return False
-        is_autopilot = (
-            frame.component == AUTOPILOT_COMPONENT
-            and message.autopilot != common.MAV_AUTOPILOT_INVALID
-            and message.type != common.MAV_TYPE_GCS
-        )
-        if is_autopilot and contact.expected_system in (None, frame.system):
-            contact.system = self._codec.system = frame.system
-            contact.kind = message.autopilot
-            contact.known_at = t
-            log.info("%s: found autopilot %d", self._link.address, frame.system)
-            self._gyro_delays.meet(message.autopilot)
-            if self._parameters is not None:
-                self._parameters.meet(message.autopilot)
-            self._check_line()
-            return True
-        if len(contact.others) < NAMED_SOURCES:
-            contact.others[source] = "an autopilot" if is_autopilot else ""
-        return False
+        self._meet(candidate, now)
+        sender, t = self._senders.get(contact.address, (None, now))
+        if sender is not None and isinstance(self._link, UdpLink):
+            self._link.meet(sender, t)
+        self._senders.clear()
+        ours = False
+        while self._early:
+            ours |= self._on_frame(*self._early.popleft())
+        return ours
+
+    def _meet(self, ours: Candidate, now: float) -> None:
+        contact = self._contact
+        contact.system, contact.component = ours.address
+        self._codec.system = ours.address.system
+        contact.kind, contact.vehicle = ours.firmware, ours.kind
+        contact.known_at, self._met_at = contact.candidates.first_at, now
+        log.info("%s: found autopilot %s", self._link.address, ours)
+        self._gyro_delays.meet(ours.firmware)
+        if self._parameters is not None:
+            self._parameters.meet(ours.firmware)
+        self._check_line()
 
     def _check_line(self) -> None:
         share = self._requests.line_share
@@ -443,6 +526,7 @@ class MavlinkAutopilot:
 
     def _on_heartbeat(self, t: float, m: Any) -> None:
         """Each tells that the autopilot is there, and whether the drone flies."""
+        self._look_for_changeling(t, m)
         state = self._flight.on_heartbeat(t, m)
         self._telemetry.listener.on_flight_state(state)
         if self._engagement is not None:
@@ -451,6 +535,15 @@ class MavlinkAutopilot:
         if not self._greeted and state.airborne_since is not None:
             self._telemetry.listener.on_found_flying()
         self._greeted = True
+
+    def _look_for_changeling(self, t: float, m: Any) -> None:
+        """Whether another kind of vehicle or firmware speaks under our autopilot's ID, by turns with ours."""
+        contact = self._contact
+        if (m.type, m.autopilot) != (contact.vehicle, contact.kind):
+            contact.changeling = vehicle_name(m.type)
+            contact.changeling_at = t
+        elif t - contact.changeling_at < CANDIDATE_GONE_S:
+            contact.shared_at = t
 
     def _on_text(self, t: float, m: Any) -> None:
         assert self._engagement is not None
@@ -463,10 +556,10 @@ class MavlinkAutopilot:
             self._telemetry.listener.on_switch(t)
 
     def _on_ack(self, t: float, m: Any) -> None:
-        codec, system = self._codec, self._contact.system
+        codec, contact = self._codec, self._contact
         for_us = m.target_system in (0, codec.system) and m.target_component in (0, codec.component)
-        if m.command == common.MAV_CMD_SET_MESSAGE_INTERVAL and for_us and system is not None:
-            for message in self._requests.acknowledged(m.result, t, system):
+        if m.command == common.MAV_CMD_SET_MESSAGE_INTERVAL and for_us:
+            for message in self._requests.acknowledged(m.result, t, contact.address):
                 self._send(message)
             imu = self._requests.imu_stream
             if imu.answered_at == t and imu.answer is Answer.ACCEPTED:

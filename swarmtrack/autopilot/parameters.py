@@ -14,6 +14,8 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.candidates import AutopilotAddress
+
 # Of these types PX4 sends the bits of an integer in the place of a float.
 INTEGERS = {common.MAV_PARAM_TYPE_INT32: "<i", common.MAV_PARAM_TYPE_UINT32: "<I"}
 
@@ -59,7 +61,7 @@ class ParameterReader:
         if self.kind is not None and self._asks:
             self._wait_for(dict.fromkeys(self._names_of(self.kind), 0))
 
-    def tick(self, now: float, system: int) -> list[Any]:
+    def tick(self, now: float, target: AutopilotAddress) -> list[Any]:
         """Requests to send now."""
         if not self._attempts or now < self._next:
             return []
@@ -67,8 +69,8 @@ class ParameterReader:
         self._wait_for({name: n + 1 for name, n in self._attempts.items() if n < self._most})
         return [
             common.MAVLink_param_request_read_message(
-                target_system=system,
-                target_component=common.MAV_COMP_ID_AUTOPILOT1,
+                target_system=target.system,
+                target_component=target.component,
                 param_id=name.encode(),
                 param_index=-1,
             )

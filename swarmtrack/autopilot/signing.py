@@ -50,10 +50,13 @@ def read_key(path: Path) -> bytes:
 class Codec:
     """Encodes messages as (system, component), decodes frames; signs and verifies where a key is given.
 
+    speaks_version_1: whether messages are sent as MAVLink 1, which is never signed.
+
     signed_good, signed_bad (wrong hash), signed_old (replayed, or from the past), unsigned: frames seen with a key.
     """
 
     def __init__(self, clock: Clock, system: int, component: int, key: bytes | None = None) -> None:
+        self.speaks_version_1 = False
         self.signed_good = 0
         self.signed_bad = 0
         self.signed_old = 0
@@ -89,11 +92,13 @@ class Codec:
     def has_key(self) -> bool:
         return self._key is not None
 
-    def encode(self, message: Any) -> bytes:
-        """The next frame, with `message` of the dialect as its content."""
+    def encode(self, message: Any, *, version_2: bool = False) -> bytes:
+        """The next frame, with `message` of the dialect as its content. version_2: whatever is spoken else."""
         if self._key is not None:
             self._follow_wall_time()
-        data = bytes(message.pack(self._mav))
+        # Version 1 has one byte for the message's ID.
+        version_1 = self.speaks_version_1 and not version_2 and message.get_msgId() < 256
+        data = bytes(message.pack(self._mav, force_mavlink1=version_1))
         self._mav.seq = (self._mav.seq + 1) % 256
         return data
 

@@ -22,6 +22,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.boot_clock import MICROSECONDS_WRAP_S, MILLISECONDS_WRAP_S
+from swarmtrack.autopilot.candidates import AutopilotAddress
 from swarmtrack.autopilot.framer import CRC_LENGTH, HEADER_V2, PAYLOAD_SIZE, SIGNATURE_LENGTH
 from swarmtrack.autopilot.limits import (
     ATTITUDE_HZ,
@@ -50,32 +52,41 @@ HIGHRES_IMU: int = common.MAVLINK_MSG_ID_HIGHRES_IMU
 RAW_IMU: int = common.MAVLINK_MSG_ID_RAW_IMU
 SCALED_IMU: int = common.MAVLINK_MSG_ID_SCALED_IMU
 ATTITUDE_QUATERNION: int = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
+ATTITUDE: int = common.MAVLINK_MSG_ID_ATTITUDE
 LOCAL_POSITION_NED: int = common.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 GLOBAL_POSITION_INT: int = common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS_RAW_INT: int = common.MAVLINK_MSG_ID_GPS_RAW_INT
+GPS2_RAW: int = common.MAVLINK_MSG_ID_GPS2_RAW
 DISTANCE_SENSOR: int = common.MAVLINK_MSG_ID_DISTANCE_SENSOR
 
 # Message and rate [Hz], beside the attitude.
 LOCAL_POSE: dict[int, float] = {LOCAL_POSITION_NED: LOCAL_POSITION_HZ}
-GLOBAL_POSE: dict[int, float] = {GLOBAL_POSITION_INT: GLOBAL_POSITION_HZ, GPS_RAW_INT: GPS_FIX_HZ}
+GLOBAL_POSE: dict[int, float] = {
+    GLOBAL_POSITION_INT: GLOBAL_POSITION_HZ,
+    GPS_RAW_INT: GPS_FIX_HZ,
+    GPS2_RAW: GPS_FIX_HZ,
+}
 # What many drones do not have: it is asked for once, after all else.
 OPTIONAL: dict[int, float] = {DISTANCE_SENSOR: RANGE_FINDER_HZ}
 # Asked for once, and missed by nobody; and in none of the groups by which old autopilots are asked.
-NOT_MISSED = frozenset({*OPTIONAL, CURRENT_MODE})
+NOT_MISSED = frozenset({*OPTIONAL, CURRENT_MODE, GPS2_RAW})
+# Best first. Old firmwares, and those that speak MAVLink 1 only, know no quaternion.
+ATTITUDE_MESSAGES = (ATTITUDE_QUATERNION, ATTITUDE)
 
 
 @dataclass(frozen=True, slots=True)
 class ImuMessage:
     """A message that carries the body's angular velocity.
 
-    stamp: s since boot of a message; read: its gyro (3,) rad/s and accel (3,) m/s², FRD, as sent; numbered: has a
-    field `id` for the sensor, 0 the first.
+    stamp: s since boot of a message; wrap_s: after which that begins again where it is counted in 32 bits; read: its
+    gyro (3,) rad/s and accel (3,) m/s², FRD, as sent; numbered: has a field `id` for the sensor, 0 the first.
     """
 
     id: int
     name: str
     stamp: Callable[[Any], float]
     read: Callable[[Any], tuple[Array, Array]]
+    wrap_s: float
     numbered: bool = False
 
 
@@ -103,10 +114,11 @@ def _milliseconds(m: Any) -> float:
 
 # Best first: microseconds and floats; then microseconds; then milliseconds; then rates of the estimator.
 IMU_MESSAGES = (
-    ImuMessage(HIGHRES_IMU, "HIGHRES_IMU", _microseconds, _read_highres, numbered=True),
-    ImuMessage(RAW_IMU, "RAW_IMU", _microseconds, _read_milli, numbered=True),
-    ImuMessage(SCALED_IMU, "SCALED_IMU", _milliseconds, _read_milli),
-    ImuMessage(ATTITUDE_QUATERNION, "ATTITUDE_QUATERNION", _milliseconds, _read_rates),
+    ImuMessage(HIGHRES_IMU, "HIGHRES_IMU", _microseconds, _read_highres, MICROSECONDS_WRAP_S, numbered=True),
+    ImuMessage(RAW_IMU, "RAW_IMU", _microseconds, _read_milli, MICROSECONDS_WRAP_S, numbered=True),
+    ImuMessage(SCALED_IMU, "SCALED_IMU", _milliseconds, _read_milli, MILLISECONDS_WRAP_S),
+    ImuMessage(ATTITUDE_QUATERNION, "ATTITUDE_QUATERNION", _milliseconds, _read_rates, MILLISECONDS_WRAP_S),
+    ImuMessage(ATTITUDE, "ATTITUDE", _milliseconds, _read_rates, MILLISECONDS_WRAP_S),
 )
 
 
@@ -179,10 +191,11 @@ class StreamRequests:
     def reset(self) -> None:
         """Request everything again: the connection is new or the autopilot has rebooted."""
         self._rank = 0
+        self._attitude = ATTITUDE_MESSAGES[0]
         self._busy: MessageStream | None = None
         self._sent_at = 0.0
         self._window_start: float | None = None
-        self._not_before = 0.0
+        self._not_before, self._pause = 0.0, STREAM_ASKED_AGAIN_S
         self.legacy = False
         self._choose()
 
@@ -197,7 +210,7 @@ class StreamRequests:
 
     def _choose(self) -> None:
         rates = {self.imu.id: self.imu_rate_hz}
-        rates[ATTITUDE_QUATERNION] = max(ATTITUDE_HZ, rates.get(ATTITUDE_QUATERNION, 0.0))
+        rates[self._attitude] = max(ATTITUDE_HZ, rates.get(self._attitude, 0.0))
         rates |= self._positions | OPTIONAL
         self.streams = {i: MessageStream(i, rate) for i, rate in rates.items()}
         for i, granted in self._granted.items():
@@ -224,7 +237,7 @@ class StreamRequests:
         if stream is not None:
             stream.count += 1
 
-    def tick(self, now: float, system: int) -> list[Any]:
+    def tick(self, now: float, target: AutopilotAddress) -> list[Any]:
         """Measure, and request what is missing."""
         self.measure(now)
         if self._busy is not None and now - self._sent_at > COMMAND_ACK_TIMEOUT_S:
@@ -235,7 +248,7 @@ class StreamRequests:
             else:
                 self._busy.answer = Answer.TO_ASK
             self._busy = None
-        return self._ask(now, system)
+        return self._ask(now, target)
 
     def measure(self, now: float) -> None:
         """Once per window: note the rates, and mark slow streams to be requested again."""
@@ -260,14 +273,10 @@ class StreamRequests:
                 if not self._try_double(stream):
                     stream.again_after = min(2 * stream.again_after, STREAM_LONGEST_ASKED_AGAIN_S)
                 stream.ask_again()
-        imu = self.imu_stream
-        if (
-            imu.answer is Answer.TO_ASK
-            and imu.attempts == 0
-            and imu.rate_hz == 0.0
-            and imu.answered_at is not None
-        ):
+        if _is_absent(self.imu_stream):
             self._fall_back(now)
+        if _is_absent(self.streams[self._attitude]):
+            self._ask_other_attitude()
 
     def _measure_from(self, now: float) -> None:
         """Begin the window again: a rate is that of one grant."""
@@ -290,7 +299,7 @@ class StreamRequests:
             return False
         return True
 
-    def acknowledged(self, result: int, now: float, system: int) -> list[Any]:
+    def acknowledged(self, result: int, now: float, target: AutopilotAddress) -> list[Any]:
         """COMMAND_ACK for SET_MESSAGE_INTERVAL has come."""
         stream = self._busy
         if stream is None or result == common.MAV_RESULT_IN_PROGRESS:
@@ -316,22 +325,36 @@ class StreamRequests:
                 self.legacy = True
             if stream is self.imu_stream and stream.rate_hz == 0.0:
                 self._fall_back(now)
-        return self._ask(now, system)
+            # Of the second one, only after a while.
+            if stream.id == self._attitude == ATTITUDE_MESSAGES[0] and stream.rate_hz == 0.0:
+                self._ask_other_attitude()
+        return self._ask(now, target)
 
     def _fall_back(self, now: float) -> None:
         """Try the next source of angular velocity; after the last, and a pause, the first again."""
-        old = self.streams
         self._rank = (self._rank + 1) % len(IMU_MESSAGES)
         if self._rank == 0:
-            self._not_before = now + STREAM_ASKED_AGAIN_S
+            self._not_before = now + self._pause
+            self._pause = min(2 * self._pause, STREAM_LONGEST_ASKED_AGAIN_S)
+        self._choose_again(keeps=self._rank != 0)
+
+    def _ask_other_attitude(self) -> None:
+        """The attitude has not come as one message: request the other."""
+        first, second = ATTITUDE_MESSAGES
+        self._attitude = second if self._attitude == first else first
+        self._choose_again(keeps=True)
+
+    def _choose_again(self, *, keeps: bool) -> None:
+        """keeps: what was learned of streams that are still wanted."""
+        old = self.streams
         self._choose()
         for i, stream in old.items():
-            if i in self.streams and self.streams[i].asked_hz == stream.asked_hz and self._rank:
+            if keeps and i in self.streams and self.streams[i].asked_hz == stream.asked_hz:
                 self.streams[i] = stream
         if self._busy is not None and self._busy not in self.streams.values():
             self._busy = None
 
-    def _ask(self, now: float, system: int) -> list[Any]:
+    def _ask(self, now: float, target: AutopilotAddress) -> list[Any]:
         if self._busy is not None or now < self._not_before:
             return []
         stream = next((s for s in self.streams.values() if s.answer is Answer.TO_ASK), None)
@@ -342,8 +365,8 @@ class StreamRequests:
         stream.attempts += 1
         messages = [
             common.MAVLink_command_long_message(
-                target_system=system,
-                target_component=common.MAV_COMP_ID_AUTOPILOT1,
+                target_system=target.system,
+                target_component=target.component,
                 command=common.MAV_CMD_SET_MESSAGE_INTERVAL,
                 confirmation=0,
                 param1=stream.id,
@@ -356,13 +379,20 @@ class StreamRequests:
             )
         ]
         if self.legacy and not stream.optional:
-            messages.append(_data_stream(stream, system))
+            messages.append(_data_stream(stream, target))
         return messages
+
+
+def _is_absent(stream: MessageStream) -> bool:
+    """Whether it was answered, has not come, and is to be requested again."""
+    again = stream.answer is Answer.TO_ASK and stream.attempts == 0
+    return again and stream.rate_hz == 0.0 and stream.answered_at is not None
 
 
 # The old way, for autopilots that do not know intervals: groups of messages at one rate.
 _GROUPS: dict[int, int] = {
     ATTITUDE_QUATERNION: common.MAV_DATA_STREAM_EXTRA1,
+    ATTITUDE: common.MAV_DATA_STREAM_EXTRA1,
     LOCAL_POSITION_NED: common.MAV_DATA_STREAM_POSITION,
     GLOBAL_POSITION_INT: common.MAV_DATA_STREAM_POSITION,
     GPS_RAW_INT: common.MAV_DATA_STREAM_EXTENDED_STATUS,
@@ -370,22 +400,14 @@ _GROUPS: dict[int, int] = {
 }
 
 
-def _data_stream(stream: MessageStream, system: int) -> Any:
+def _data_stream(stream: MessageStream, target: AutopilotAddress) -> Any:
     return common.MAVLink_request_data_stream_message(
-        target_system=system,
-        target_component=common.MAV_COMP_ID_AUTOPILOT1,
+        target_system=target.system,
+        target_component=target.component,
         req_stream_id=_GROUPS.get(stream.id, common.MAV_DATA_STREAM_RAW_SENSORS),
         req_message_rate=round(stream.request_hz),
         start_stop=1,
     )
-
-
-class StampStep(enum.Enum):
-    """Class of a stamp relative to those before it."""
-
-    NEXT = enum.auto()
-    REPEATED = enum.auto()  # the same again, or a little back: drop it
-    REBOOT = enum.auto()
 
 
 class Gap(NamedTuple):
@@ -415,7 +437,6 @@ class Cadence:
     """
 
     GAP = 1.8  # of the usual interval: ArduPilot's loop makes 5.0 and 7.5 ms of 6 ms
-    REBOOT = 1.0  # s back in time
     SILENCE = 0.1  # s: nobody who is slower is worth being asked for another rate
     LEARNING = 20  # intervals whose median is the usual one, and gaps in a row that mean a new rate
     MEMORY = 200  # intervals: it follows their mean from there
@@ -445,21 +466,19 @@ class Cadence:
         # Usual intervals since the last gap, and since the last one that the rhythm demands.
         self._run = self._beat = 0
 
-    def observe(self, stamp: float) -> StampStep:
-        """Classify the next stamp [s]."""
+    def observe(self, stamp: float) -> bool:
+        """Take the next stamp [s]; False where it is not later than the last one."""
         if self.newest is None:
             self.newest = stamp
-            return StampStep.NEXT
+            return True
         interval = stamp - self.newest
-        if interval < -self.REBOOT:
-            return StampStep.REBOOT
         if interval <= 0:
             self.repeated += 1
             # A sample that was packed a moment late carries the next one's stamp: doubled, but not lost.
             if self._just_lost:
                 self._just_lost -= 1
                 self.lost -= 1
-            return StampStep.REPEATED
+            return False
         self.newest = stamp
         self._just_lost = 0
         if self._is_silence(interval):
@@ -471,7 +490,7 @@ class Cadence:
             self._on_gap(round(interval / self.period))
         else:
             self._on_usual(interval)
-        return StampStep.NEXT
+        return True
 
     def _is_silence(self, interval: float) -> bool:
         """Whether a rate that is to be learned anew begins with a gap in the one before: who was silent is asked again,

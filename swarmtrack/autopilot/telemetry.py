@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.autopilot.boot_clock import (
+    MILLISECONDS_WRAP_S,
+    BootClock,
+    CopyMemory,
+    StampStep,
+)
 from swarmtrack.autopilot.clock_map import ClockMap
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
+from swarmtrack.autopilot.intake import Intake
 from swarmtrack.autopilot.limits import (
+    COPIES_EXPECTED_S,
+    COPIES_SAID,
     DIVERGED_LOCAL_POSE,
     FASTEST_GYRO_RAD_S,
     GROUND_FRESH_S,
@@ -24,15 +33,23 @@ from swarmtrack.autopilot.limits import (
     IMU_STALE_AFTER_S,
     LOCAL_POSITION_AGE_S,
     LOCAL_POSITION_SIGMA_M,
+    OTHER_BASE_STAMPS,
     POSE_CLOCK_MISMATCH_S,
+    POSE_MISSED_S,
+    QUATERNION_PREFERRED_S,
+    SECOND_CLOCK_SHARE,
+    SLOWEST_USEFUL_GYRO_HZ,
     TIMESYNC_FIRST_EXCHANGES,
     TIMESYNC_FIRST_PERIOD_S,
     TIMESYNC_PERIOD_S,
 )
 from swarmtrack.autopilot.streams import (
+    ATTITUDE,
+    ATTITUDE_MESSAGES,
     ATTITUDE_QUATERNION,
     DISTANCE_SENSOR,
     GLOBAL_POSITION_INT,
+    GPS2_RAW,
     GPS_RAW_INT,
     HIGHRES_IMU,
     IMU_MESSAGES,
@@ -42,10 +59,9 @@ from swarmtrack.autopilot.streams import (
     SCALED_IMU,
     Cadence,
     ImuMessage,
-    StampStep,
     StreamRequests,
 )
-from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.geometry.rotation import from_euler, from_quaternion
 from swarmtrack.messages import Array, EgoPose, ImuSample
 from swarmtrack.sources import AutopilotListener
 
@@ -53,13 +69,22 @@ DOWNWARD = common.MAV_SENSOR_ROTATION_PITCH_270
 INVALID_SIGNAL = 1  # of a DISTANCE_SENSOR's quality; 0 is one that tells none
 RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
 
+# Why something is thrown away.
+IMPOSSIBLE, OTHER_CLOCK, STANDING_CLOCK = (
+    "impossible values",
+    "stamps of another clock",
+    "stamps that stand still",
+)
+SECOND_CLOCK = "late, or of a second clock"
+STEPPED_BACK = "stamps before the last one, after the clock was corrected"
+
 
 class Telemetry:
     """Turns our autopilot's messages into events for the listener. `readers`: by message id, handlers of (arrival,
     message).
 
     gps: computes positions in the team frame; None: they are the autopilot's local ones; send: sends a message to the
-    autopilot; gyro_delays: delay of its gyro; name: of the link, for the log.
+    autopilot; gyro_delays: delay of its gyro; recorded: nothing can be requested; name: of the link, for the log.
     """
 
     def __init__(
@@ -71,32 +96,51 @@ class Telemetry:
         gps: GlobalPosition | None,
         send: Callable[[Any], None],
         gyro_delays: GyroDelays,
+        recorded: bool,
         name: str,
     ) -> None:
         self.clock_map = ClockMap()
+        """Of the gyro's stamps."""
+        self._pose_map = ClockMap()
+        self._other_stamps = 0
         self.cadence = Cadence()
         self.listener: AutopilotListener
+        self.stamped = frozenset(
+            {*RANKS, ATTITUDE_QUATERNION, ATTITUDE, LOCAL_POSITION_NED, GLOBAL_POSITION_INT}
+        )
+        """Messages that are read by their stamps."""
         self.readers: dict[int, Callable[[float, Any], None]] = {
             common.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
             common.MAVLINK_MSG_ID_PARAM_VALUE: gyro_delays.on_value,
             HIGHRES_IMU: self._on_imu,
             RAW_IMU: self._on_imu,
             SCALED_IMU: self._on_imu,
-            ATTITUDE_QUATERNION: self._on_attitude,
+            ATTITUDE_QUATERNION: self._on_quaternion,
+            ATTITUDE: self._on_euler_angles,
             LOCAL_POSITION_NED: self._on_local_position,
             DISTANCE_SENSOR: self._on_distance,
         }
         if gps is not None:
             del self.readers[LOCAL_POSITION_NED]
-            self.readers |= {GPS_RAW_INT: gps.on_fix, GLOBAL_POSITION_INT: self._on_global_position}
+            self.readers |= {
+                GPS_RAW_INT: gps.on_fix,
+                GPS2_RAW: gps.on_second_fix,
+                GLOBAL_POSITION_INT: self._on_global_position,
+            }
         self.imu_at = -math.inf  # when the last sample came
         self.imu_rate_hz = 0.0
-        self.imu_samples = 0
-        self.poses = 0
+        self.gyro, self.attitudes, self.positions = (
+            Intake("gyro samples"),
+            Intake("attitudes"),
+            Intake("positions"),
+        )
+        self.copy_at = -math.inf  # when a copy came last
+        self.copies = 0
         self._requests = requests
         self._contact = contact
         self._news = news
         self._gps = gps
+        self._recorded = recorded
         self._send = send
         self._gyro_delays = gyro_delays
         self._name = name
@@ -104,16 +148,25 @@ class Telemetry:
         self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
         self._imu_rank: int | None = None
         self._imu_t = -math.inf
+        self._imu_since = -math.inf
         self._window_start = -math.inf
         self._window_count = 0
-        self._pose_stamp: float | None = None
+        self._is_slow = False
+        self._clocks: dict[int, BootClock] = {}
+        self._copy_memory = CopyMemory()
+        self._read: tuple[float, float] | None = None
+        """When a stamp was read last, and the stamp."""
+        self._second_clock = math.nan
+        """How far the second clock is apart [s]; NaN: there is none."""
+        self._copies_before = 0
+        self._pose_at = self._quaternion_at = -math.inf
         self._position: tuple[float, Array, Array] | None = None
         self._placed_at = -math.inf
         self._below: tuple[float, float] | None = None
         self._asked_time: dict[int, float] = {}
         self._exchanges = 0
         self._next_timesync = -math.inf
-        self._invalid = self._after_resync = self._poses_without_position = self._reboots = 0
+        self._poses_without_position = self._reboots = self._replaced = 0
 
     @property
     def imu_source(self) -> ImuMessage:
@@ -138,6 +191,47 @@ class Telemetry:
         return "" if self._gps is None else self._gps.lack(now)
 
     @property
+    def imu_samples(self) -> int:
+        """Delivered since the start."""
+        return self.gyro.used
+
+    @property
+    def poses(self) -> int:
+        """Delivered since the start."""
+        return self.attitudes.used
+
+    @property
+    def intakes(self) -> tuple[Intake, ...]:
+        return self.gyro, self.attitudes, self.positions
+
+    @property
+    def second_clock(self) -> float | None:
+        """How far apart [s] the clock is of a second autopilot that speaks under the same ID; None: there is none."""
+        return None if math.isnan(self._second_clock) else self._second_clock
+
+    @property
+    def fault(self) -> str:
+        """What is wrong with most of what came in the last window, in words; empty where most was used."""
+        return next((intake.fault for intake in self.intakes if intake.fault), "")
+
+    @property
+    def slow_gyro(self) -> bool:
+        """Whether the gyro comes too seldom to be of use."""
+        return self._is_slow
+
+    def has_no_place(self, now: float) -> bool:
+        """Whether no local position comes beside the gyro. A start by GPS says more, see `lack`."""
+        return self._gps is None and now - max(self._placed_at, self._imu_since) > POSE_MISSED_S
+
+    def has_no_pose(self, now: float) -> bool:
+        """Whether no attitude comes beside the gyro."""
+        return now - max(self._pose_at, self._imu_since) > POSE_MISSED_S
+
+    def expects_copies(self, t: float) -> bool:
+        """Whether messages come a second time just now."""
+        return t - self.copy_at < COPIES_EXPECTED_S
+
+    @property
     def counters(self) -> dict[str, float]:
         """All since the start."""
         clock_map, cadence, gyro_delay = self.clock_map, self.cadence, self.gyro_delay
@@ -147,11 +241,14 @@ class Telemetry:
             "imu_lost": cadence.lost,
             "gaps": cadence.gaps,
             "duplicates": cadence.repeated,
-            "invalid": self._invalid,
-            "after_resync": self._after_resync,
+            "copies": self.copies,
+            "out_of_step": sum(each.thrown[SECOND_CLOCK] for each in self.intakes),
+            "invalid": sum(each.thrown[why] for each in self.intakes for why in (IMPOSSIBLE, OTHER_CLOCK)),
+            "after_resync": self.gyro.thrown[STEPPED_BACK],
             "poses": self.poses,
             "poses_without_position": self._poses_without_position,
             "reboots": self._reboots,
+            "clocks_replaced": self._replaced,
             "clock_offset_s": clock_map.offset if clock_map.offset is not None else math.nan,
             "clock_sigma_s": clock_map.sigma,
             "clock_skew_ppm": clock_map.skew * 1e6,
@@ -163,59 +260,99 @@ class Telemetry:
             "gyro_delay_sigma_s": gyro_delay.sigma,
         }
 
+    def end(self, now: float) -> None:
+        """A recording has ended: what its last window holds is judged if it is long enough."""
+        if now - self._window_start >= 0.5 * IMU_RATE_WINDOW_S:
+            self._judge(now)
+
     def measure(self, now: float) -> None:
-        """Once per window: note the IMU's rate."""
+        """Once per window: note the IMU's rate, and what was thrown away."""
         if now - self._window_start >= IMU_RATE_WINDOW_S:
-            self.imu_rate_hz = self._window_count / (now - self._window_start)
-            self._window_start, self._window_count = now, 0
-            if self._imu_rank is not None:
-                self._gyro_delays.log_delay(self.imu_source.id)
+            self._judge(now)
+
+    def _judge(self, now: float) -> None:
+        self.imu_rate_hz = self._window_count / (now - self._window_start)
+        asked = math.inf if self._recorded else self._requests.imu_rate_hz
+        enough = 0.95 * min(SLOWEST_USEFUL_GYRO_HZ, asked)
+        self._is_slow = 0.0 < self.imu_rate_hz < enough and self._imu_since <= self._window_start
+        self._window_start = now
+        self._window_count = 0
+        if self._imu_rank is not None:
+            self._gyro_delays.log_delay(self.imu_source.id)
+        copies, self._copies_before = self.copies - self._copies_before, self.copies
+        if copies >= COPIES_SAID:
+            text = (
+                "%s: messages of autopilot %s come again by a second way, %d in %g s: the copies are dropped"
+            )
+            self._news.warn("copies", text, self._name, self._who, copies, IMU_RATE_WINDOW_S)
+        for intake in self.intakes:
+            intake.judge()
+        shared = [
+            clock
+            for intake, clock in self._stamped()
+            if clock.is_shared and intake.shares.get(SECOND_CLOCK, 0.0) >= SECOND_CLOCK_SHARE
+        ]
+        self._second_clock = shared[0].apart if shared else math.nan
 
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _on_imu(self, t: float, m: Any) -> None:
-        rank = RANKS[m.get_msgId()]
-        source = IMU_MESSAGES[rank]
+        source = IMU_MESSAGES[RANKS[m.get_msgId()]]
         # HIGHRES_IMU and RAW_IMU may come from several sensors by turns: the first is the one in use.
-        if (source.numbered and m.id) or not self._is_source(t, rank):
+        if source.numbered and m.id:
             return
-        stamp = source.stamp(m)
+        step, stamp = self._step(t, m, source.stamp(m), source.wrap_s)
+        self._take_rates(t, m, step, stamp)
+
+    def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
+        """step: of the stamp, None: a copy."""
+        rank = RANKS[m.get_msgId()]
+        if step is None and rank == self._imu_rank and stamp == self.cadence.newest:
+            self.cadence.observe(stamp)
+        if step is None or not self._is_source(t, rank, step):
+            return
+        if step is StampStep.OTHER:
+            self.gyro.throw(SECOND_CLOCK)
+            return
+        source = IMU_MESSAGES[rank]
         gyro, accel = source.read(m)
         # Of three numbers Python asks each faster than NumPy asks all. NaN fails this too.
         if not all(abs(rate) < FASTEST_GYRO_RAD_S for rate in gyro.tolist()):
-            self._invalid += 1
+            self.gyro.throw(IMPOSSIBLE)
             return
-        step = self.cadence.observe(stamp)
-        if step is StampStep.REPEATED:
+        if not self.cadence.observe(stamp):
+            self.gyro.throw(STANDING_CLOCK)
             return
-        if step is StampStep.REBOOT:
-            self._rebooted(stamp)
-            self.cadence.observe(stamp)
         self._observe_clock(stamp, t)
         if t - self.imu_at > IMU_FORGOTTEN_AFTER_S:
             self.imu_rate_hz, self._window_start, self._window_count = 0.0, t, 0
+            self._imu_since = t
         self.imu_at = t
         self._window_count += 1
         delay = self._gyro_delays.of(source.id).seconds
         ours = self.clock_map.to_ours(stamp) - delay
         if ours <= self._imu_t:
             # A correction back in time, or a gyro that turns out to be later: wait until it is made up for.
-            self._after_resync += 1
+            self.gyro.throw(STEPPED_BACK)
             return
         self._imu_t = ours
-        self.imu_samples += 1
+        self.gyro.used += 1
         accel = accel if all(map(math.isfinite, accel.tolist())) else NOT_MEASURED
         self.listener.on_imu(ImuSample(ours, gyro, accel, delay))
 
-    def _is_source(self, t: float, rank: int) -> bool:
+    def _is_source(self, t: float, rank: int, step: StampStep) -> bool:
         """Whether this kind of message is the one to integrate: the best that is coming."""
-        self._imu_seen[rank] = t
+        if step is not StampStep.OTHER:
+            self._imu_seen[rank] = t
         better = max(self._imu_seen[:rank], default=-math.inf)
         asked = self._requests.imu is IMU_MESSAGES[rank]
-        if t - better < IMU_PREFERRED_S or (
-            rank and not asked and t - self._contact.known_at < IMU_PREFERRED_S
-        ):
+        # A better one may just have been asked for; or follow, in a log that begins with an attitude.
+        lesser = IMU_MESSAGES[rank].id in ATTITUDE_MESSAGES if self._recorded else rank > 0
+        waits = lesser and not asked
+        if t - better < IMU_PREFERRED_S or (waits and t - self._contact.known_at < IMU_PREFERRED_S):
             return False
+        if step is StampStep.OTHER:
+            return rank == self._imu_rank
         if rank != self._imu_rank:
             if self._imu_rank is not None:
                 self._news.warn("imu source", "%s: IMU now from %s", self._name, IMU_MESSAGES[rank].name)
@@ -227,48 +364,94 @@ class Telemetry:
 
     def _on_global_position(self, t: float, m: Any) -> None:
         assert self._gps is not None
-        place = self._gps.place(t, m)
-        if place is not None:
-            self._position, self._placed_at = (m.time_boot_ms * 1e-3, *place), t
+        stamp = self._position_stamp(t, m)
+        place = None if stamp is None else self._gps.place(t, m)
+        if stamp is not None and place is not None:
+            self.positions.used += 1
+            self._position, self._placed_at = (stamp, *place), t
 
     def _on_local_position(self, t: float, m: Any) -> None:
+        stamp = self._position_stamp(t, m)
+        if stamp is None:
+            return
         position, velocity = (m.x, m.y, m.z), (m.vx, m.vy, m.vz)
         if not all(
             abs(number) < DIVERGED_LOCAL_POSE for number in position + velocity
         ):  # NaN compares as False
-            self._invalid += 1
+            self.positions.throw(IMPOSSIBLE)
             return
-        self._position, self._placed_at = (m.time_boot_ms * 1e-3, np.array(position), np.array(velocity)), t
+        self.positions.used += 1
+        self._position, self._placed_at = (stamp, np.array(position), np.array(velocity)), t
 
-    def _on_attitude(self, t: float, m: Any) -> None:
-        self._on_imu(t, m)
-        stamp = m.time_boot_ms * 1e-3
-        if self._pose_stamp is not None and stamp < self._pose_stamp:
-            if stamp > self._pose_stamp - Cadence.REBOOT:
-                return
-            self._rebooted(stamp)
-        self._pose_stamp = stamp
-        if self.clock_map.offset is None or t - self.imu_at > IMU_STALE_AFTER_S:
+    def _position_stamp(self, t: float, m: Any) -> float | None:
+        """None where it is not to be used."""
+        step, stamp = self._step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        if step is StampStep.OTHER:
+            self.positions.throw(SECOND_CLOCK)
+        return None if step in (None, StampStep.OTHER) else stamp
+
+    def _on_quaternion(self, t: float, m: Any) -> None:
+        step, stamp = self._step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        self._take_rates(t, m, step, stamp)
+        if self._is_next_pose(step):
+            self._quaternion_at = t
+            q = np.array((m.q1, m.q2, m.q3, m.q4))
+            self._take_attitude(t, stamp, from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None)
+
+    def _on_euler_angles(self, t: float, m: Any) -> None:
+        step, stamp = self._step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        self._take_rates(t, m, step, stamp)
+        if t - self._quaternion_at > QUATERNION_PREFERRED_S and self._is_next_pose(step):
+            angles = m.roll, m.pitch, m.yaw
+            self._take_attitude(t, stamp, from_euler(*angles) if all(map(math.isfinite, angles)) else None)
+
+    def _is_next_pose(self, step: StampStep | None) -> bool:
+        if step is StampStep.OTHER:
+            self.attitudes.throw(SECOND_CLOCK)
+        elif step is StampStep.SAME:
+            self.attitudes.throw(STANDING_CLOCK)
+        return step in (StampStep.NEXT, StampStep.REBOOT, StampStep.REPLACED)
+
+    def _take_attitude(self, t: float, stamp: float, attitude: Array | None) -> None:
+        """attitude: (3, 3) world_from_body; None: none that is possible."""
+        clock_map = self._map_of_poses(stamp, t)
+        if clock_map is self.clock_map and (clock_map.offset is None or t - self.imu_at > IMU_STALE_AFTER_S):
             self._observe_clock(stamp, t)  # without an IMU, this is what tells the autopilot's time
-        q = np.array((m.q1, m.q2, m.q3, m.q4))
-        ours = self.clock_map.to_ours(stamp)
-        if not 0.9 < float(q @ q) < 1.1 or abs(ours - t) > POSE_CLOCK_MISMATCH_S:
-            self._invalid += 1
+        if attitude is None:
+            self.attitudes.throw(IMPOSSIBLE)
             return
+        if clock_map is None:
+            self.attitudes.throw(OTHER_CLOCK)
+            return
+        ours = clock_map.to_ours(stamp)
         if self._position is None or abs(stamp - self._position[0]) > LOCAL_POSITION_AGE_S:
             self._poses_without_position += 1
             where = None
         else:
             at, position, velocity = self._position
             where = position + (stamp - at) * velocity
-        self.poses += 1
+        self._pose_at = t
+        self.attitudes.used += 1
         gps = self._gps
         sigma, vertical = (LOCAL_POSITION_SIGMA_M, None) if gps is None else (gps.sigma, gps.vertical_sigma)
-        attitude = from_quaternion(q)
         ground = self._ground(t, float(attitude[2, 2]))
         self.listener.on_pose(
             EgoPose(ours, where, attitude, position_sigma=sigma, vertical_sigma=vertical, ground=ground)
         )
+
+    def _map_of_poses(self, stamp: float, t: float) -> ClockMap | None:
+        """Of the time base of an attitude's stamp [s] that came at t: that of the gyro. In a log, which nobody can
+        mend, one of its own where milliseconds count from another instant than microseconds. None: not known."""
+        gyro = self.clock_map
+        if gyro.offset is None or abs(gyro.to_ours(stamp) - t) <= POSE_CLOCK_MISMATCH_S:
+            self._other_stamps = 0
+            return gyro
+        if not self._recorded:
+            return None
+        self._other_stamps += 1
+        self._pose_map.observe(stamp, t)
+        agrees = abs(self._pose_map.to_ours(stamp) - t) <= POSE_CLOCK_MISMATCH_S
+        return self._pose_map if agrees and self._other_stamps >= OTHER_BASE_STAMPS else None
 
     def _on_distance(self, t: float, m: Any) -> None:
         # In cm. Outside of its limits, and at the farther one, it has found nothing.
@@ -283,18 +466,80 @@ class Telemetry:
             return None
         return below[1] * upright
 
-    def _rebooted(self, stamp: float) -> None:
-        self._reboots += 1
-        self._news.warn(
-            "reboot",
-            "%s: autopilot %s has rebooted (its clock: %.1f s)",
-            self._name,
-            self._contact.system,
-            stamp,
+    # ── stamps ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+    def _step(self, t: float, m: Any, raw: float, wrap_s: float) -> tuple[StampStep | None, float]:
+        """What the stamp `raw` [s] is to its kind of message, None: a copy's; and the stamp without wraps."""
+        message_id = m.get_msgId()
+        clock = self._clocks.get(message_id)
+        if clock is None:
+            clock = self._clocks[message_id] = BootClock(wrap_s)
+        if self._copy_memory.has(t, message_id, bytes(m.get_payload())) and not clock.may_be_reboot(t, raw):
+            self._copied(t)
+            return None, raw + clock.wraps * wrap_s
+        near = None if self._read is None else self._read[1] + t - self._read[0]
+        turns = clock.turns
+        step, stamp = clock.read(t, raw, near)
+        if step is StampStep.NEXT:
+            self._read = t, stamp
+            if clock.turns > turns:
+                text = "%s: the 32-bit clock of autopilot %s begins again from 0, and is followed"
+                self._news.warn("wrap", text, self._name, self._who)
+        elif step in (StampStep.REBOOT, StampStep.REPLACED):
+            self._begin_again(step, stamp, clock.apart)
+            self._clocks = {message_id: clock}
+            self._read = t, stamp
+        return step, stamp
+
+    def _copied(self, t: float) -> None:
+        self.copies += 1
+        self.copy_at = t
+
+    def is_copy(self, t: float, message_id: int, frame: bytes) -> bool:
+        """Whether a message without a stamp is a copy: only while others come twice, for its content may recur."""
+        if self._copy_memory.has(t, message_id, frame) and self.expects_copies(t):
+            self._copied(t)
+            return True
+        return False
+
+    @property
+    def _who(self) -> object:
+        return self._contact.system
+
+    def _stamped(self) -> Iterator[tuple[Intake, BootClock]]:
+        """By which messages each thing came."""
+        kinds = (
+            (self.gyro, (self.imu_source.id,)),
+            (self.attitudes, (ATTITUDE_QUATERNION, ATTITUDE)),
+            (self.positions, (LOCAL_POSITION_NED, GLOBAL_POSITION_INT)),
         )
+        for intake, message_ids in kinds:
+            for message_id in message_ids:
+                if message_id in self._clocks:
+                    yield intake, self._clocks[message_id]
+
+    def _begin_again(self, step: StampStep, stamp: float, apart: float) -> None:
+        """The autopilot's clock is another one from now on."""
+        if step is StampStep.REBOOT:
+            self._reboots += 1
+            self._news.warn(
+                "reboot", "%s: autopilot %s has rebooted (its clock: %.1f s)", self._name, self._who, stamp
+            )
+        else:
+            self._replaced += 1
+            self._news.warn(
+                "replaced",
+                "%s: the clock of autopilot %s goes on %+.1f s from where it was, without a reboot: a simulator that "
+                "was started again, or another vehicle?",
+                self._name,
+                self._who,
+                apart,
+            )
         self.clock_map.reset()
+        self._pose_map.reset()
+        self._other_stamps = 0
         self.cadence.reset()
-        self._pose_stamp = self._position = self._below = None
+        self._position = self._below = None
         self._asked_time.clear()
         self._exchanges = 0
         self._requests.reset()

@@ -83,24 +83,38 @@ class Start(Section):
     source: Literal["local", "gps"] | None = Field(
         default=None,
         alias="from",
-        description='"local": the autopilot\'s own local pose, shifted by offset_m; "gps": its global position '
+        description='"local": the autopilot\'s own local pose, turned by offset_yaw_deg and shifted by offset_m; '
+        '"gps": its global position '
         "relative to the origin in [team], and its heading from true north",
     )
     offset_m: Place = Field(
         default=TEAM_FRAME_ORIGIN, description="origin of the autopilot's local frame, in the team frame, m"
     )
+    offset_yaw_deg: Number = Field(
+        default=0.0,
+        description="heading of the local frame's first axis, clockwise from the team frame's north: not 0 without "
+        "a compass (motion capture, visual odometry)",
+    )
 
     @model_validator(mode="after")
     def _one_way_only(self) -> Start:
-        measured = self.model_fields_set & {"position_m", "yaw_deg"}
+        said = self.model_fields_set
+        measured = " and ".join(sorted(said & {"position_m", "yaw_deg"}))
         if self.source is not None and measured:
+            local = ": offset_m and offset_yaw_deg say where its local frame lies" * (self.source == "local")
             raise ValueError(
-                f'{" and ".join(sorted(measured))} together with from = "{self.source}", expected one or the other'
+                f'{measured} together with from = "{self.source}", expected one or the other{local}'
             )
-        if self.source is None and "offset_m" in self.model_fields_set:
-            raise ValueError('offset_m without from = "local", expected position_m instead')
-        if self.source == "gps" and "offset_m" in self.model_fields_set:
-            raise ValueError('offset_m together with from = "gps", expected the origin in [team] to be moved')
+        instead = {"offset_m": "position_m", "offset_yaw_deg": "yaw_deg"}
+        by_gps = {
+            "offset_m": "the origin in [team] to be moved",
+            "offset_yaw_deg": "a heading from true north",
+        }
+        for key in instead.keys() & said:
+            if self.source is None:
+                raise ValueError(f'{key} without from = "local", expected {instead[key]} instead')
+            if self.source == "gps":
+                raise ValueError(f'{key} together with from = "gps", expected {by_gps[key]}')
         return self
 
     @property
@@ -298,13 +312,13 @@ class AutopilotSection(Section):
 
     link: Text = Field(
         default="none",
-        description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE, ulog:FILE or none",
+        description="udpin:HOST:PORT, udpout:, tcp:, serial:DEVICE:BAUD, tlog:FILE, ulog:FILE, bin:FILE or none",
     )
     imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = Field(
         default=200.0, description="IMU rate requested from the autopilot"
     )
     system_id: Annotated[int, Strict(), Field(ge=1, le=255)] | None = Field(
-        default=None, description="system ID of our autopilot, where several share one link"
+        default=None, description="system ID of our autopilot; needed where several share one link"
     )
     heading_sigma_deg: HeadingSigmas = Field(
         default=HeadingSigmas(),
@@ -804,7 +818,7 @@ def _resolve_inputs(table: Table, folder: Path) -> None:
     rules: list[tuple[str, str, Callable[[str], str]]] = [
         ("camera", "calibration", lambda name: str(folder / os.path.expanduser(name))),
         ("camera", "source", lambda source: _beside(source, ("file", "images"), quote(str(folder)))),
-        ("autopilot", "link", lambda link: _beside(link, ("tlog", "ulog", "file"), str(folder))),
+        ("autopilot", "link", lambda link: _beside(link, ("tlog", "ulog", "bin", "file"), str(folder))),
         ("autopilot", "signing_key", lambda name: str(folder / os.path.expanduser(name))),
         ("network", "keys", lambda name: str(folder / os.path.expanduser(name))),
         *(

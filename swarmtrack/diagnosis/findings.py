@@ -207,6 +207,21 @@ FAULTS: dict[str, Fault] = {
         "MAVLink arrives, but no heartbeat from an autopilot: {reason}",
         "connect the autopilot itself, not only a ground station or gimbal; check autopilot.system_id",
     ),
+    "autopilot.second": Fault(
+        F,
+        "several autopilots speak on this link: {reason}",
+        "set autopilot.system_id in this drone's config to the system ID of its own autopilot",
+    ),
+    "autopilot.shared": Fault(
+        F,
+        "two vehicles have the same ID: {reason}",
+        "set another ID in one of them and restart it, or take it off this link",
+        {
+            "ArduPilot": "set another SYSID_THISMAV (newer: MAV_SYSID) in one of them and restart it, or take it off "
+            "this link",
+            "PX4": "set another MAV_SYS_ID in one of them and restart it, or take it off this link",
+        },
+    ),
     "autopilot.signature": Fault(
         F,
         "the autopilot's signature does not match ours: {reason}",
@@ -227,6 +242,22 @@ FAULTS: dict[str, Fault] = {
             "PX4": "our requests must reach the autopilot: on a UART connect its RX as well, and set "
             "MAV_n_MODE = Onboard",
         },
+    ),
+    "autopilot.no_pose": Fault(
+        F,
+        "gyro samples come, but no attitude: {reason}",
+        "wait until the autopilot's estimator has started (half a minute at rest), and keep ATTITUDE_QUATERNION on the "
+        "link: SRn_EXTRA1 of ArduPilot, MAV_n_MODE of PX4",
+        {
+            "ArduPilot": "wait until its EKF has started (half a minute at rest); on a UART set SRn_EXTRA1",
+            "PX4": "wait until its EKF has started (half a minute at rest); on a UART set MAV_n_MODE = Onboard",
+        },
+    ),
+    "autopilot.thrown_away": Fault(
+        F,
+        "most of what the autopilot sends cannot be used: {reason}",
+        "connect the autopilot by a cable to a port of its own, without router and radio in between, and run doctor "
+        "again",
     ),
     "autopilot.no_position": Fault(
         F,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmtrack.autopilot.address import parse_address
+from swarmtrack.autopilot.limits import SLOWEST_USEFUL_GYRO_HZ
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
@@ -22,7 +23,6 @@ FRAME_LATE_MS = 150.0  # of a frame at arrival
 DAMAGED = 0.02  # share of frames
 BLANK = 2.0  # standard deviation of brightness, of 255
 RATE_ENOUGH_SHARE = 0.8  # of a rate asked for
-LEAST_GYRO_HZ = 50.0  # below, a turn within a sample moves tracks by more than their own size
 LOST_GYRO_SHARE = 0.01  # share of gyro samples
 CLOCK_SIGMA_MS = 10.0
 UNSTEADY_RESTARTS = 3  # of the map of the autopilot's clock: one is a clock that was set
@@ -44,6 +44,11 @@ CAMERA_TROUBLES = (
     ("camera.silent", r"waiting for the first frame|no frame for|no frame yet|nothing for|not opened yet"),
 )
 AUTOPILOT_TROUBLES = (
+    ("autopilot.shared", r"two autopilots speak as system"),
+    ("autopilot.second", r"autopilots speak, "),
+    ("autopilot.too_slow", r"the gyro is too slow"),
+    ("autopilot.thrown_away", r": faulty: "),
+    ("autopilot.no_pose", r": no pose: "),
     ("autopilot.missing", r"no such device|unplugged|went away while"),
     ("autopilot.forbidden", r"searching: permission"),
     ("autopilot.busy", r"busy, (port \d+ is )?held by"),
@@ -197,14 +202,19 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
     assert facts.status is not None
     numbers, text = dict(facts.status.counters), facts.status.text
     setting = _setting(facts.status)
-    if not facts.status.ok:
-        name = _named(AUTOPILOT_TROUBLES, text, "autopilot.broken")
-        return [fault(name, setting=setting, reason=_reason(text), seconds=facts.seconds)]
-    findings = []
     asked_hz = numbers.get("imu_rate_asked_hz", 0.0)
     got_hz = numbers.get("imu_rate_hz", 0.0) if facts.got_hz is None else facts.got_hz
+    if not facts.status.ok:
+        name = _named(AUTOPILOT_TROUBLES, text, "autopilot.broken")
+        rates = {"got_hz": got_hz, "asked_hz": asked_hz}
+        return [fault(name, setting=setting, reason=_reason(text), seconds=facts.seconds, **rates)]
+    findings = []
     if facts.live and 0.0 < got_hz < RATE_ENOUGH_SHARE * asked_hz:
-        slow = "autopilot.too_slow" if got_hz < min(LEAST_GYRO_HZ, asked_hz) * 0.95 else "autopilot.slow"
+        slow = (
+            "autopilot.too_slow"
+            if got_hz < min(SLOWEST_USEFUL_GYRO_HZ, asked_hz) * 0.95
+            else "autopilot.slow"
+        )
         findings.append(fault(slow, setting=setting, got_hz=got_hz, asked_hz=asked_hz))
     samples, lost = numbers.get("imu_samples", 0.0), numbers.get("imu_lost", 0.0)
     if lost > LOST_GYRO_SHARE * (samples + lost):

@@ -78,8 +78,9 @@ class EgoHistory:
     The autopilot's local frame begins wherever it was switched on. `start` says where that is for the team; both frames
     are level, so one yaw and one translation, taken from the first attitude and the first position, connect them. Until
     the autopilot knows a position, and without an autopilot, the drone is where it started. Without `start` the
-    autopilot's own frame is the team's, moved to `origin` (3,) m. `absolute`: the poses are in the team frame already,
-    also those after a reboot (GPS).
+    autopilot's own frame is the team's, moved to `origin` (3,) m and turned by `origin_yaw` rad, clockwise from above:
+    an estimator without a compass begins wherever it looks. `absolute`: the poses are in the team frame already, also
+    those after a reboot (GPS).
 
     Heading and place are continuous in the team frame: when the estimator's heading jumps (it aligns itself seconds
     after boot, and again in flight) the connection is turned along, and a rebooted autopilot, whose frame has a new
@@ -98,12 +99,14 @@ class EgoHistory:
         *,
         start: Pose | None = None,
         origin: Array | None = None,
+        origin_yaw: float = 0.0,
         absolute: bool = False,
         history_s: float = 2.0,
         heading: HeadingSigma | None = None,
     ) -> None:
         self.start = start
         self.origin = np.zeros(3) if origin is None else origin
+        self.origin_yaw = origin_yaw
         self.absolute = absolute
         self.history_s = history_s
         self.heading = HeadingKnowledge(heading or HeadingSigma())
@@ -200,12 +203,18 @@ class EgoHistory:
         """By t the estimator's heading has stepped by so much [rad], and the drone has not: where the team frame was
         connected by a measured heading, it stays where it was. A jump that was seen here counts once. Returns by how
         much the axes have turned in which this drone sees others [rad], clockwise from above."""
-        self.heading.step(t)
+        self.heading.step(t, step)
         if self.start is None:
             return step
         if t - self._jumped_at > YAW_COMPARED_WITHIN_S:
             self._turn_along(step)
         return 0.0
+
+    def standing_at(self, pose: EgoPose) -> TeamPose | None:
+        """Where the drone stands on the ground by GPS, as of a pose that has just been added; None where it flies, or
+        where its place comes from elsewhere."""
+        stands = self.absolute and self.heading.is_on_ground and pose.position is not None
+        return self.at(pose.t) if stands else None
 
     def at(self, t: float) -> TeamPose | None:
         """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings."""
@@ -371,7 +380,7 @@ class EgoHistory:
         """team_from_local (3, 3), made with the first pose and turned along with a heading that jumps."""
         yaw = _heading(pose.world_from_body)
         if self._turn is None:
-            turn = 0.0 if self.start is None else _heading(self.start.rotation) - yaw
+            turn = self.origin_yaw if self.start is None else _heading(self.start.rotation) - yaw
             self._turn_sigma = self.heading.sigma(pose.t)
             self._turn = rotation.from_euler(0.0, 0.0, turn)
         elif self._yaw is not None and self.start is not None:

@@ -10,6 +10,11 @@ The alignment is a step: from one attitude to the next the heading changes by so
 drone did not turn. `HeadingSteps` looks for these. Where the heading was right already there is none, so
 `HEADING_ALIGNED_AFTER_S` after take-off it counts as aligned without. Everything here is a function of stamps, so a
 replay finds the same.
+
+A step that the sigmas of ground and flight together do not explain is no alignment but a reset: an estimator that gave
+its heading up. Either the heading before was wrong by the step or the one since is, and nothing here tells which. Two
+values that are equally likely have half their distance as standard deviation, so that is what the heading is known to
+until it is reset back, or the drone lands.
 """
 
 from __future__ import annotations
@@ -56,11 +61,14 @@ class HeadingKnowledge:
         self._is_told = False
         self._first: Array | None = None
         self._rebooted_at = self._stepped_at = -math.inf
+        self._reset = 0.0
 
     def fly(self, state: FlightState) -> None:
         """The autopilot's own word."""
         self._is_told = True
         self._since = state.airborne_since
+        if self._since is None:
+            self._reset = 0.0
 
     def add_pose(self, pose: EgoPose) -> None:
         """Add a pose of the autopilot. An autopilot without a flight state counts as flying once it has left its
@@ -74,13 +82,27 @@ class HeadingKnowledge:
         elif float(np.linalg.norm(pose.position - self._first)) > far:
             self._since = pose.t
 
-    def step(self, t: float) -> None:
-        """The heading has stepped by t [s]."""
+    def step(self, t: float, by: float) -> None:
+        """The heading has stepped by t [s], by so much [rad]."""
         self._stepped_at = t
+        if self._since is not None and (abs(by) > self._largest_alignment or self._reset):
+            reset = math.remainder(self._reset + by, 2.0 * math.pi)
+            self._reset = reset if abs(reset) > self._largest_alignment else 0.0
 
     def restart(self, t: float) -> None:
         """The autopilot has rebooted at t [s]: what was aligned is forgotten."""
         self._rebooted_at = t
+        self._reset = 0.0
+
+    @property
+    def _largest_alignment(self) -> float:
+        """Of a step that the sigmas explain [rad]."""
+        return HEADING_STEP_SIGMAS * math.hypot(self._sigma.ground, self._sigma.flight)
+
+    @property
+    def doubt(self) -> float:
+        """Standard deviation that resets in flight have left [rad]; 0 without."""
+        return 0.5 * abs(self._reset)
 
     @property
     def is_on_ground(self) -> bool:
@@ -89,14 +111,14 @@ class HeadingKnowledge:
 
     def is_aligned(self, t: float) -> bool:
         """Whether the heading at t is as good as in flight."""
-        if self._since is None:
+        if self._since is None or self._reset:
             return False
         since = max(self._since, self._rebooted_at)
         return t - since >= HEADING_ALIGNED_AFTER_S or self._stepped_at > since
 
     def sigma(self, t: float) -> float:
         """Standard deviation of the heading at t [rad]."""
-        return self._sigma.flight if self.is_aligned(t) else self._sigma.ground
+        return math.hypot(self._sigma.flight if self.is_aligned(t) else self._sigma.ground, self.doubt)
 
 
 class _BesideGyro(NamedTuple):
@@ -165,8 +187,8 @@ class HeadingSteps:
         turn = rotation_between(orientation, was).matrix
         # Where the camera looks by the autopilot, beyond where by the gyro.
         beyond = looks @ (looked @ turn).T
-        # Of so small a rotation, the part about the vertical.
-        excess = 0.5 * (beyond.item(1, 0) - beyond.item(0, 1))
+        # The part of it about the vertical.
+        excess = math.atan2(beyond.item(1, 0) - beyond.item(0, 1), beyond.item(0, 0) + beyond.item(1, 1))
         (_, xy, xz), (yx, _, yz), (zx, zy, _) = turn.tolist()
         twice = 2.0 * (t - then)
         rate = (zy - yz) / twice, (xz - zx) / twice, (yx - xy) / twice
@@ -208,12 +230,15 @@ class HeadingBulletin:
         self._told_at = -math.inf
         self._was_aligned: bool | None = None
 
-    def news(self, t: float, steps: list[float], *, is_aligned: bool) -> HeadingNews | None:
+    def news(
+        self, t: float, steps: list[float], *, is_aligned: bool, doubt: float = 0.0
+    ) -> HeadingNews | None:
         """News in the pose of t [s]. steps: those that were just found [rad]; is_aligned: whether the heading is as
-        good as in flight; a drone that is when it is first seen has said so with its first announcement.
+        good as in flight; a drone that is when it is first seen has said so with its first announcement; doubt [rad]:
+        what resets have left.
         """
         for step in steps:
-            self._waiting = HeadingNews(t, step)
+            self._waiting = HeadingNews(t, step, doubt)
         if is_aligned and self._was_aligned is False and self._waiting is None:
             self._waiting = HeadingNews(t, 0.0)
         self._was_aligned = is_aligned

@@ -75,6 +75,10 @@ HEADING_LONGEST_GAP_S = 0.5
 # Between two pieces of news: each costs the team an announcement.
 HEADING_NEWS_PERIOD_S = 10.0
 
+# Heights on the ground (`ground_heights`): geoids are tens of metres from the ellipsoid; and how steep a field is at
+# most.
+GROUND_HEIGHT_LEAST_M, GROUND_HEIGHT_SIGMAS, GROUND_STEEPEST_SLOPE = 5.0, 4.0, 0.2
+
 # Bearing filters (`bearing_filters`): squared innovations over their variance, under whichever assumption suits best;
 # and the step of the gate's own scale, for each innovation.
 BEARING_GATE = 16.0

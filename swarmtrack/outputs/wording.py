@@ -30,6 +30,7 @@ from swarmtrack.messages import (
     RangeReport,
     SightingReport,
 )
+from swarmtrack.motion.ground_heights import GroundHeightNews
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 
@@ -38,6 +39,7 @@ COMPASS_POINTS = ("north", "northeast", "east", "southeast", "south", "southwest
 News = (
     PeerEvent
     | HeadingNews
+    | GroundHeightNews
     | Astray
     | FrameNews
     | RangeNews
@@ -62,10 +64,22 @@ def fault_in_words(fault: OwnFault) -> str:
 
 def describe(news: News) -> str:
     match news:
+        case HeadingNews(step=step, doubt=doubt) if step and doubt:
+            return (
+                f"our heading was reset by {math.degrees(step):+.1f}° against the gyro: the old one or the new one is "
+                f"wrong, so until we land it counts as known to ±{math.degrees(doubt):.0f}°; announced again"
+            )
         case HeadingNews(step=step) if step:
             return f"our heading stepped by {math.degrees(step):+.1f}° against the gyro: announced again"
         case HeadingNews():
             return "our heading has been aligned in flight: announced again"
+        case GroundHeightNews():
+            side = "above" if news.above_m > 0.0 else "below"
+            return (
+                f"drone {news.drone_id} is announced {abs(news.above_m):.0f} m {side} us, and we stand on the ground: "
+                "if it stands there too, one of the two receivers reports heights above the ellipsoid for those above "
+                "the sea: compare GPS_RAW_INT.alt, and set up the one that is wrong (ArduPilot: GPS_DRV_OPTIONS)"
+            )
         case Astray(miss_m=None):
             return (
                 f"track {news.track_id} does not move as drone {news.drone_id} reports: its name is in doubt"

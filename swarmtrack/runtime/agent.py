@@ -31,6 +31,7 @@ from swarmtrack.messages import (
     PoseWanted,
     ScanReport,
 )
+from swarmtrack.motion.ground_heights import GroundHeightNews
 from swarmtrack.outputs.console import Console
 from swarmtrack.outputs.destinations import JsonLines, video_paths
 from swarmtrack.outputs.drawing import as_seen, drawn
@@ -326,6 +327,8 @@ class Agent:
                     self._team.on_range_news(event)
                 case HeadingNews():
                     self._team.on_heading(event)
+                case GroundHeightNews():
+                    self._team.on_ground_height(event)
                 case DoubtNews():
                     self._team.on_doubt(event)
                 case SeamNews():

@@ -136,7 +136,7 @@ class GuardProcess:
             return
         component = FIRST_COMPONENT + (way.component - FIRST_COMPONENT + 1) % COMPONENTS
         host, port = ("", 0) if way.wire.peer is None else way.wire.peer[:2]
-        opened = guard.OPENED.pack(way.system, component, port) + host.encode()
+        opened = guard.OPENED.pack(way.system, component, way.target, way.version_1, port) + host.encode()
         self._tell(guard.LINK + opened, way.wire.descriptor)
 
     def decide(self, decision: Decision) -> None:

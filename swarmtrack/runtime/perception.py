@@ -4,6 +4,7 @@ flight.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -91,6 +92,7 @@ def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: floa
     return EgoHistory(
         start=start,
         origin=np.array(config.drone.start.offset_m),
+        origin_yaw=math.radians(config.drone.start.offset_yaw_deg),
         absolute=config.drone.start.source == "gps",
         history_s=history_s,
         heading=config.autopilot.heading_sigma,

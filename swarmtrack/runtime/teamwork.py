@@ -33,6 +33,7 @@ from swarmtrack.messages import (
     RangeReport,
     SightingReport,
 )
+from swarmtrack.motion.ground_heights import GroundHeightNews
 from swarmtrack.motion.sway import next_begin, possible_begins
 from swarmtrack.outputs import periods
 from swarmtrack.outputs.pilot_notices import PilotNotices
@@ -256,10 +257,15 @@ class Teamwork:
 
     def on_heading(self, news: HeadingNews) -> None:
         """What the team was told of our pose was told with another heading: announce it again."""
-        if not self._announced:
-            return
-        self._note(self._drone_id, describe(news), logging.INFO)
-        self._asked.set()
+        if news.doubt or self._announced:
+            level = logging.WARNING if news.doubt else logging.INFO
+            self._note(self._drone_id, describe(news), level)
+        if self._announced:
+            self._asked.set()
+
+    def on_ground_height(self, news: GroundHeightNews) -> None:
+        """A teammate's height is not one of our field, although we stand on the ground."""
+        self._note(news.drone_id, describe(news), logging.WARNING)
 
     def on_astray(self, found: Astray) -> None:
         """A teammate is not where it says, by how it moves."""

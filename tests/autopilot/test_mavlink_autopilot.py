@@ -26,9 +26,9 @@ from swarmtrack.autopilot import links
 from swarmtrack.autopilot.address import LinkAddress
 from swarmtrack.autopilot.engagement import PilotEngagement
 from swarmtrack.autopilot.global_position import GlobalPosition
-from swarmtrack.autopilot.links import records
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
+from swarmtrack.autopilot.tlog import records
 from swarmtrack.clock import ManualClock
 from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
 from swarmtrack.errors import SourceError
@@ -136,7 +136,7 @@ def rates_asked(autopilot: FakeAutopilot) -> list[float]:
 async def test_a_granted_rate_that_does_not_come_is_asked_for_once_at_double_and_kept_where_that_helps():
     autopilot = FakePx4(boot_at=60.0)
     async with Flight(autopilot) as flight:
-        flight.fly(4.0)
+        flight.fly(5.0)
         assert flight.count["imu_rate_hz"] == pytest.approx(125.0, abs=2.0)
         flight.fly(5.0)
         assert rates_asked(autopilot) == [200.0, 400.0]
@@ -286,7 +286,7 @@ async def test_other_systems_components_and_our_own_echo_are_counted_and_ignored
     ours, neighbour = FakeAutopilot(), FakeAutopilot(system=2)
     neighbour.gyro = np.array((9.0, 9.0, 9.0))
     camera = FakeAutopilot(component=100)
-    async with Flight(ours, neighbour, camera) as flight:
+    async with Flight(ours, neighbour, camera, system_id=1) as flight:
         neighbour.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 5000, 100.0)
         camera.set_interval(common.MAVLINK_MSG_ID_HIGHRES_IMU, 5000, 100.0)
         flight.fly(4.0)
@@ -302,12 +302,12 @@ async def test_other_systems_components_and_our_own_echo_are_counted_and_ignored
 async def test_the_system_asked_for_is_waited_for_and_the_others_are_named():
     async with Flight(FakeAutopilot(system=7), system_id=3) as flight:
         flight.fly(4.0)
-        assert "frames but no autopilot heartbeat of system 3 (heard: 7/1 an autopilot)" in flight.text
+        assert "frames but no autopilot heartbeat of system 3 (heard: 7/1 quadrotor)" in flight.text
 
 
 async def test_a_neighbour_does_not_take_the_place_of_a_silent_autopilot():
     ours, neighbour = FakeAutopilot(), FakeAutopilot(system=2)
-    async with Flight(ours, neighbour) as flight:
+    async with Flight(ours, neighbour, system_id=1) as flight:
         flight.fly(3.0)
         ours.mute = True
         flight.fly(0.6)
@@ -326,6 +326,7 @@ async def test_duplicates_steps_back_nan_and_nonsense_are_dropped_and_counted():
         flight.fly(3.0)
         now, before = flight.clock.now(), len(flight.listener.imu)
         stamp = round(autopilot.stamp(now) * 1e6)
+        ms = stamp // 1000 + 10
 
         def imu(us: int, gyro: float) -> bytes:
             return autopilot.frame(
@@ -343,14 +344,15 @@ async def test_duplicates_steps_back_nan_and_nonsense_are_dropped_and_counted():
         flight.unit.received(now, imu(stamp + 15000, 1e30))
         flight.unit.received(
             now,
-            autopilot.frame(common.MAVLink_attitude_quaternion_message(99999, math.nan, 0, 0, 0, 0, 0, 0)),
+            autopilot.frame(common.MAVLink_attitude_quaternion_message(ms, math.nan, 0, 0, 0, 0, 0, 0)),
         )
         for north in (math.nan, 3e7):  # no drone flies once around the Earth, and no teammate would read it
             flight.unit.received(
-                now, autopilot.frame(common.MAVLink_local_position_ned_message(99999, north, 0, 0, 0, 0, 0))
+                now, autopilot.frame(common.MAVLink_local_position_ned_message(ms, north, 0, 0, 0, 0, 0))
             )
+            ms += 40
         assert len(flight.listener.imu) == before + 1
-        assert (flight.count["duplicates"], flight.count["invalid"]) == (2, 6)
+        assert (flight.count["copies"], flight.count["out_of_step"], flight.count["invalid"]) == (1, 1, 6)
 
 
 async def test_lost_samples_are_counted_by_their_stamps():
@@ -450,6 +452,8 @@ async def test_signed_frames_that_came_before_the_first_heartbeat_are_verified_o
             flight.unit.received(flight.clock.now(), data)
             flight.unit.tick(flight.clock.now())
             assert ": lost:" not in flight.text
+        flight.clock.set(flight.clock.now() + 1.2)
+        flight.unit.tick(flight.clock.now())
         assert (flight.count["signed_good"], flight.count["signed_old"], flight.count["signed_bad"]) == (
             4,
             0,
@@ -509,7 +513,7 @@ async def test_every_change_of_state_is_one_line_in_the_log(caplog):
     lines = [r.getMessage().removeprefix("udpin:localhost:1: ") for r in caplog.records]
     assert [line.split(" (")[0][:38] for line in lines] == [
         "searching: port open, 0 bytes",
-        "found autopilot 1",
+        "found autopilot 1/1",
         "gyro taken to be 11.3 ± 1.0 ms late: I",
         "streaming: IMU 200 Hz asked, 200 Hz go",
         "lost: nothing from autopilot 1 for 3 s",

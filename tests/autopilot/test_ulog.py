@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 import struct
+import time
 from pathlib import Path
 
 import cv2
@@ -10,10 +12,13 @@ import numpy as np
 import pytest
 
 from support.autopilot_flight import Listener
+from support.mutants import MUTANTS, mutants
 from support.places import SHARED
 from swarmtrack.agents import main as swarmtrack
+from swarmtrack.autopilot import log_files
 from swarmtrack.autopilot.address import is_recording, parse_address
 from swarmtrack.autopilot.global_position import GlobalPosition
+from swarmtrack.autopilot.log_files import time_limit
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.ulog import read_ulog
 from swarmtrack.clock import ManualClock
@@ -24,6 +29,7 @@ from swarmtrack.recording.reader import recordings_below
 
 HAND_TURNED = SHARED / "mavlink" / "pyulog_sample_auav_x21.ulg"
 CUBE = SHARED / "mavlink" / "pyulog_sample_log_small_cubeorange.ulg"
+EVENTS = SHARED / "mavlink" / "pyulog_sample_px4_events.ulg"
 HOME = Geodetic.from_degrees(47.397742, 8.545594, 488.0)
 
 
@@ -61,9 +67,12 @@ class Log:
             self._data.append((row[0], _message("D", body)))
         self._count += 1
 
-    def bytes(self) -> bytes:
-        head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0)
-        data = b"".join(body for _, body in sorted(self._data, key=lambda one: one[0]))
+    def bytes(self, since: int = 0) -> bytes:
+        head = b"ULog\x01\x12\x35\x01" + struct.pack("<Q", since)
+        data = b"".join(
+            body[:5] + struct.pack("<Q", t + since) + body[13:]
+            for t, body in sorted(self._data, key=lambda one: one[0])
+        )
         return head + self._formats + self._subscriptions + data
 
 
@@ -76,8 +85,10 @@ def _code(kind: str) -> str:
     return (count.rstrip("]") if bracket else "") + TYPES[word]
 
 
-def written(folder: Path, seconds: float = 4.0, *, valid: bool = True) -> Path:
-    """A drone that yaws by 0.5 rad/s and flies north at 2 m/s, 3 m east of home."""
+def written(
+    folder: Path, seconds: float = 4.0, *, valid: bool = True, since: int = 0, climb: float = 0.0
+) -> Path:
+    """A drone that yaws by 0.5 rad/s and flies north at 2 m/s, 3 m east of home. since [µs]: its clock at the boot."""
     times = [round(5e6 + 4000 * k) for k in range(int(250 * seconds))]
     log = Log()
     log.topic(
@@ -100,7 +111,18 @@ def written(folder: Path, seconds: float = 4.0, *, valid: bool = True) -> Path:
         | {"ref_lat": "double", "ref_lon": "double", "ref_alt": "float"}
         | dict.fromkeys(("xy_valid", "z_valid", "xy_global", "z_global"), "bool"),
         [
-            (t, 2e-6 * (t - 5e6), 3.0, -4.0, 2.0, 0.0, 0.0, *np.degrees(HOME[:2]), HOME.height, *[valid] * 4)
+            (
+                t,
+                2e-6 * (t - 5e6),
+                3.0,
+                -4.0,
+                2.0,
+                0.0,
+                climb,
+                *np.degrees(HOME[:2]),
+                HOME.height,
+                *[valid] * 4,
+            )
             for t in times[::5]
         ],
     )
@@ -119,7 +141,7 @@ def written(folder: Path, seconds: float = 4.0, *, valid: bool = True) -> Path:
     half = times[len(times) // 2]
     log.topic("vehicle_land_detected", {"landed": "bool"}, [(t, t < half) for t in times[::50]])
     path = folder / "flight.ulg"
-    path.write_bytes(log.bytes())
+    path.write_bytes(log.bytes(since))
     return path
 
 
@@ -157,6 +179,13 @@ async def test_an_estimate_that_is_not_valid_is_no_position(tmp_path):
     assert all(pose.position is None for pose in kept.poses)
 
 
+@pytest.mark.parametrize("climb", [np.nan, np.inf, -1e38])
+async def test_a_velocity_that_no_drone_has_costs_positions_and_no_more(tmp_path, climb):
+    kept, _ = await played(written(tmp_path, 1.0, climb=climb))
+    assert len(kept.imu) > 240
+    assert all(pose.position is None for pose in kept.poses)
+
+
 def test_the_time_of_day_is_that_of_the_gps(tmp_path):
     flight = read_ulog(written(tmp_path))
     assert flight.utc_offset == pytest.approx(1.7e9, abs=1e-3)
@@ -173,9 +202,16 @@ def test_a_log_that_is_cut_off_is_used_as_far_as_it_goes(tmp_path):
 @pytest.mark.parametrize(
     ("content", "expected"),
     [
-        (b"\xa3\x95\x80\x80\x59FMT", "is a DataFlash log of ArduPilot, which is not supported"),
-        (b"", "is not a ULog (it begins with )"),
-        (b"\x00\x05\x9c\x11\x22\x33\x44\x55\xfd", "is not a ULog (it begins with 00 05 9c"),
+        (
+            b"\xa3\x95\x80\x80\x59FMT",
+            "is a DataFlash log of ArduPilot (.bin), expected a ULog of PX4 (.ulg): import",
+        ),
+        (b"", "begins with nothing, expected a ULog"),
+        (
+            b"\x00\x05\x9c\x11\x22\x33\x44\x55\xfd",
+            "is a ground station's telemetry log (.tlog), expected a ULog",
+        ),
+        (b"\x1f\x8b\x08\x00", "is compressed by gzip, expected the log in it"),
         (b"ULog\x01\x12\x35", "is broken or cut off in its header"),
         (b"ULog\x01\x12\x35\x01" + bytes(8), "holds no gyro, expected the topic sensor_combined"),
         (b"ULog\x01\x12\x35\x01" + bytes(8) + bytes(range(256)) * 40, "is broken or cut off"),
@@ -188,6 +224,89 @@ def test_a_file_that_is_no_log_is_said(tmp_path, content, expected):
         read_ulog(path)
     assert expected in str(raised.value)
     assert str(path) in str(raised.value)
+
+
+def formats(*texts: str, then: bytes = b"") -> bytes:
+    head = b"ULog\x01\x12\x35\x01" + bytes(8)
+    subscribed = _message("A", struct.pack("<BH", 0, 0) + b"sensor_combined")
+    return head + b"".join(_message("F", text.encode()) for text in texts) + then + subscribed
+
+
+NESTED = [f"f{k}:f{k + 1}[99] x;" for k in range(6)]
+
+
+@pytest.mark.parametrize(
+    ("content", "expected"),
+    [
+        (
+            formats("sensor_combined:uint64_t timestamp;uint8_t[1000] x;")
+            + b"".join(_message("A", struct.pack("<BH", 0, k) + b"sensor_combined") for k in range(200)),
+            "its topics have more than 100000 fields in all",
+        ),
+        (
+            formats("sensor_combined:uint64_t timestamp;f0[99] x;", *NESTED, "f6:uint8_t[99] x;"),
+            "has 9801 fields",
+        ),
+        (
+            formats("sensor_combined:uint64_t timestamp;sensor_combined[2] x;"),
+            "sensor_combined contains itself",
+        ),
+        (formats("sensor_combined:a x;", "a:b x;", "b:a x;"), "contains itself"),
+        (formats(*[f"f{k}:f{k + 1} x;" for k in range(2000)]), "more than 8 deep"),
+        (formats("sensor_combined:uint8_t[65535] x;"), "has 65535 fields"),
+        (formats(then=struct.pack("<HB", 60_000, 0xEE)), "is broken or cut off in its header, at byte 16"),
+        (formats(then=struct.pack("<HB", 20_000, 0) + bytes(4000)), "is broken or cut off in its header"),
+    ],
+    ids=["subscriptions", "product", "itself", "each other", "deep", "wide", "beyond the end", "zeros"],
+)
+def test_definitions_that_would_keep_the_reader_busy_for_ever_are_refused(tmp_path, content, expected):
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match=re.escape(str(path))) as raised:
+        read_ulog(path)
+    assert expected in str(raised.value)
+
+
+def test_reading_ends_when_it_takes_far_too_long(tmp_path, monkeypatch):
+    monkeypatch.setattr(log_files, "LOG_READ_S", 0.1)
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(b"")
+
+    def read() -> None:
+        begin = time.process_time()
+        with time_limit(path):
+            while time.process_time() < begin + 30.0:
+                pass
+
+    with pytest.raises(SourceError, match=r"is not read after 0\.1 s of work"):
+        read()
+
+
+@pytest.mark.parametrize(
+    "count", [100, pytest.param(MUTANTS, marks=pytest.mark.long("a hundred times as many of them"))]
+)
+def test_a_mutant_of_a_log_is_read_soon_or_refused_in_a_sentence(tmp_path, count):
+    path = written(tmp_path, 0.3)
+    good = path.read_bytes()
+    read, refused = 0, []
+    for mutant in mutants(good, count, seed=5):
+        path.write_bytes(mutant)
+        begin = time.process_time()
+        try:
+            read += bool(read_ulog(path).records)
+        except SourceError as error:
+            refused.append(str(error))
+        assert time.process_time() - begin < 2.0
+    assert read > 0.3 * count
+    assert all(sentence.isprintable() for sentence in refused)
+
+
+def test_stamps_since_1970_are_those_of_a_board_that_has_just_started(tmp_path):
+    """As PX4's simulation writes them."""
+    path = written(tmp_path, 1.0, since=1_700_000_000_000_000)
+    flight = read_ulog(path)
+    assert flight.records[-1][0] < 2**32 * 1e-3
+    assert flight.records[0][0] + flight.utc_offset == pytest.approx(1.7e9 + 5.0, abs=0.01)
 
 
 def test_a_log_damaged_anywhere_ends_in_a_sentence_or_in_what_can_be_read(tmp_path):
@@ -240,6 +359,17 @@ async def test_a_real_board_turned_by_hand_turned_as_its_gyro_says():
 
 
 @pytest.mark.shared
+async def test_a_simulation_of_px4_whose_clock_is_utc_is_read_whole(caplog):
+    kept, _ = await played(EVENTS)
+    assert len(kept.imu) == 7783
+    assert len(kept.poses) == 622
+    assert "98 of 313 positions are not valid by PX4's own word: not used" in caplog.text
+    assert len({pose.position.tobytes() for pose in kept.poses if pose.position is not None}) > 215
+    assert kept.poses[0].t == pytest.approx(kept.imu[0].t, abs=0.1)
+    assert read_ulog(EVENTS).records[0][0] < 2**32 * 1e-3
+
+
+@pytest.mark.shared
 async def test_a_real_cube_at_rest():
     kept, _ = await played(CUBE)
     assert len(kept.imu) == 1298
@@ -256,7 +386,7 @@ async def test_a_real_cube_at_rest():
 def test_import_needs_one_log(capsys, tmp_path):
     with pytest.raises(SystemExit):
         swarmtrack.main(["import", "--video", "a.mp4", "--config", "a.toml", "--out", str(tmp_path)])
-    assert "one of the arguments --tlog --ulog is required" in capsys.readouterr().err
+    assert "one of the arguments --tlog --ulog --bin is required" in capsys.readouterr().err
 
 
 def test_import_makes_a_recording_of_a_log_and_a_video(capsys, tmp_path):

@@ -15,7 +15,9 @@ from swarmtrack.config.drone import DroneConfig, load_config, mount_camera
 from swarmtrack.config.toml.layers import key_lines
 from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.geometry.camera import Equidistant, RadTan
+from swarmtrack.messages import EgoPose
 from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.runtime.perception import make_ego_history
 
 CAMERA = """
 [camera]
@@ -149,7 +151,15 @@ probability = 2
         (MINIMAL + 'distortion = { model = "radtan", coefficients = [1, 2] }', "expected finite numbers, 4"),
         (
             '[drone]\nid = 1\nstart = { from = "local", yaw_deg = 3 }' + CAMERA,
-            ":3: drone.start: yaw_deg together with",
+            ':3: drone.start: yaw_deg together with from = "local", expected one or the other: offset_m and',
+        ),
+        (
+            '[drone]\nid = 1\nstart = { from = "gps", offset_yaw_deg = 3 }' + CAMERA,
+            ':3: drone.start: offset_yaw_deg together with from = "gps", expected a heading from true north',
+        ),
+        (
+            "[drone]\nid = 1\nstart = { offset_yaw_deg = 3 }" + CAMERA,
+            ':3: drone.start: offset_yaw_deg without from = "local", expected yaw_deg instead',
         ),
         (MINIMAL + "[network]\nlisten = 7447", ":8: network.listen: 7447, expected a list"),
         ("extends = 3\n" + MINIMAL, ":1: extends: 3, expected a file name"),
@@ -437,3 +447,12 @@ def test_paths_of_each_camera_begin_at_the_file_that_names_them(write, tmp_path)
         tmp_path / "team" / "a.yaml",
         tmp_path / "team" / "b.yaml",
     ]
+
+
+def test_a_turned_local_frame_reaches_the_pose(write):
+    start = 'id = 7\nstart = { from = "local", offset_yaw_deg = 90 }\n'
+    linked = '[autopilot]\nlink = "udpin:127.0.0.1:14540"\n'
+    config = load_config(write(MINIMAL.replace("id = 7\n", start) + linked))
+    ego = make_ego_history(config, None, history_s=2.0)
+    ego.append(EgoPose(0.0, np.array([2.0, 0.0, 0.0]), np.eye(3)))
+    np.testing.assert_allclose(ego.team_from_local @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)

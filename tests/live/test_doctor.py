@@ -16,9 +16,11 @@ import tty
 from collections.abc import AsyncIterator
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from pymavlink.dialects.v20 import common
 
 from support.drone_on_the_bench import SMALL, SOURCE, Server, TurnedAutopilot, camera_at, written
 from support.fake_autopilot import FakeAutopilot, serve_udp
@@ -134,6 +136,15 @@ def test_a_usb_camera_that_is_busy_hangs_or_has_one_size_only(tmp_path):
 # ── autopilots ───────────────────────────────────────────────────────────────────────────────────────────────────────
 
 
+class Gimbal(FakeAutopilot):
+    """A gimbal whose firmware is an autopilot's."""
+
+    def _heartbeat(self) -> Any:
+        beat = super()._heartbeat()
+        beat.type = common.MAV_TYPE_GIMBAL
+        return beat
+
+
 class Sluggish(FakeAutopilot):
     """Grants every rate, and sends 20 Hz."""
 
@@ -175,7 +186,7 @@ async def test_autopilots_and_what_is_wrong_with_each(tmp_path):
         "slow": Sluggish(boot_at=boot),
         "on its back": FakeAutopilot(boot_at=boot),
         "biased": FakeAutopilot(boot_at=boot),
-        "a gimbal": FakeAutopilot(boot_at=boot, component=154),
+        "a gimbal": Gimbal(boot_at=boot, component=154),
         "another system": FakeAutopilot(boot_at=boot, system=7),
         "without an IMU": FakeAutopilot(boot_at=boot, offered=()),
     }

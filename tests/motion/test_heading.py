@@ -16,6 +16,7 @@ from swarmtrack.motion.heading import HeadingBulletin, HeadingKnowledge, Heading
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.priors import HEADING_ALIGNED_AFTER_S, HEADING_NEWS_PERIOD_S
 from swarmtrack.onboard import Onboard, OnboardCamera
+from swarmtrack.outputs.wording import describe
 from swarmtrack.tracking import create_tracker
 
 FORWARD = rotation.BODY_FROM_FORWARD_CAMERA
@@ -59,6 +60,18 @@ def steps_of(attitude, *, seconds, step=lambda t: 0.0, noise=0.0, lag=0.0, pose_
 def test_a_step_of_two_degrees_is_found_once_and_measured():
     found = steps_of(lambda t: level(0.3), seconds=20.0, step=lambda t: math.radians(-2.0) * (t > 10.0))
     assert [(pytest.approx(10.1, abs=0.1), pytest.approx(math.radians(-2.0), abs=1e-3))] == found
+
+
+@pytest.mark.parametrize("degrees", [60.0, -90.0, 150.0, 178.0, -178.0, 180.0])
+@pytest.mark.parametrize("rate", [0.0, 0.8])
+def test_a_reset_is_measured_as_the_angle_that_it_is(degrees, rate):
+    found = steps_of(
+        lambda t: rotation.from_euler(0.2, -0.1, rate * t),
+        seconds=20.0,
+        step=lambda t: math.radians(degrees) * (t > 10.0),
+    )
+    assert [round(t) for t, _ in found] == [10]
+    assert math.remainder(found[0][1] - math.radians(degrees), math.tau) == pytest.approx(0.0, abs=2e-3)
 
 
 def test_a_step_is_found_in_the_noise_of_a_poor_attitude():
@@ -136,11 +149,41 @@ def test_on_the_ground_and_at_first_in_flight_the_heading_is_less_sure():
 
 def test_the_step_of_the_alignment_ends_the_waiting_but_one_on_the_ground_does_not():
     known = knowledge((0.0, None))
-    known.step(5.0)
+    known.step(5.0, 0.05)
     known.fly(FlightState(30.0, 30.0))
     assert known.sigma(31.0) == GROUND
-    known.step(32.0)
+    known.step(32.0, 0.05)
     assert known.sigma(32.0) == FLIGHT
+
+
+@pytest.mark.parametrize("degrees", [20.0, -90.0, 150.0])
+def test_a_reset_in_flight_is_doubted_until_it_is_taken_back_or_the_drone_lands(degrees):
+    by = math.radians(degrees)
+    known = knowledge((0.0, None), (30.0, 30.0))
+    known.step(60.0, by)
+    assert known.sigma(1e4) >= 0.5 * abs(by)
+    assert not known.is_aligned(1e4)
+    known.step(70.0, -by + 0.02)
+    assert known.sigma(70.0) == FLIGHT
+    known.step(80.0, by)
+    known.fly(FlightState(90.0, None))
+    assert known.sigma(90.0) == GROUND
+    known.fly(FlightState(100.0, 95.0))
+    assert known.sigma(1e4) == FLIGHT
+
+
+def test_two_resets_by_most_of_a_turn_are_one_by_what_is_left_of_it():
+    known = knowledge((0.0, 0.0))
+    known.step(60.0, math.radians(170.0))
+    known.step(70.0, math.radians(150.0))
+    assert known.doubt == pytest.approx(math.radians(20.0))
+
+
+def test_an_estimator_that_finds_its_heading_on_the_ground_is_not_doubted():
+    known = knowledge((0.0, None))
+    known.step(5.0, 2.0)
+    known.fly(FlightState(30.0, 30.0))
+    assert known.sigma(1e4) == FLIGHT
 
 
 def test_who_was_found_flying_is_aligned_and_a_reboot_in_the_air_begins_again():
@@ -238,6 +281,21 @@ def test_a_step_stays_a_step_where_the_heading_is_the_autopilots_own():
     np.testing.assert_allclose(history.at(1.0).world_from_body, level(0.235))
 
 
+def test_a_local_frame_may_be_turned():
+    """Its first axis points east: who flies along it flies east, and who looks along it looks east."""
+    history = EgoHistory(origin=np.array([10.0, 20.0, 0.0]), origin_yaw=math.radians(90.0))
+    fly_level(history, lambda t: 0.1, seconds=2.0, north_of=lambda t: 3.0 * t)
+    pose = history.at(1.0)
+    np.testing.assert_allclose(pose.position, [10.0, 23.0, -2.0], atol=1e-9)
+    np.testing.assert_allclose(pose.world_from_body, level(math.radians(90.0) + 0.1), atol=1e-9)
+    np.testing.assert_allclose(history.velocity(1.0)[0], [0.0, 3.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(history.team_from_local @ [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], atol=1e-12)
+    # A rebooted estimator begins again, and looks along its first axis again.
+    history.restart()
+    history.append(EgoPose(2.0, np.zeros(3), level(0.1)))
+    np.testing.assert_allclose(history.at(2.0).world_from_body, level(math.radians(90.0) + 0.1), atol=1e-9)
+
+
 def test_the_height_has_a_sigma_of_its_own():
     history = EgoHistory(absolute=True)
     history.append(EgoPose(0.0, np.zeros(3), np.eye(3), position_sigma=0.9, vertical_sigma=1.8))
@@ -276,6 +334,35 @@ def test_a_drone_tells_of_its_alignment_and_is_surer_after_it():
     assert [round(math.degrees(one.step), 1) for one in news] == [-2.0]
     assert drone.part_counters["heading_steps"] == 1
     assert drone.ego_pose(11.9).attitude_sigma == pytest.approx(FLIGHT)
+    assert not drone.own_flight(11.9).doubted
     drone.tell(AutopilotRebooted())
     drone.tell(EgoPose(12.0, np.array([0.0, 0.0, -2.0]), level(0.0)))
     assert drone.ego_pose(12.0).attitude_sigma == pytest.approx(GROUND)
+
+
+def test_a_reset_in_flight_is_told_as_its_angle_and_doubted():
+    camera = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
+    mounted = OnboardCamera(
+        camera, Mounting(Pose(FORWARD, np.zeros(3))), create_tracker("kalman", camera=camera)
+    )
+    drone = Onboard(
+        1,
+        cameras=[mounted],
+        gyro=GyroHistory(),
+        ego=EgoHistory(absolute=True),
+        identity=IdentityParameters(),
+    )
+    drone.tell(FlightState(0.0, -math.inf))
+    news = []
+    for k in range(int(4.0 * GYRO_HZ)):
+        t = k / GYRO_HZ
+        drone.tell(ImuSample(t, np.zeros(3), np.zeros(3)))
+        if k % 4 == 0:
+            drone.tell(EgoPose(t, np.array([0.0, 0.0, -2.0]), level(math.radians(150.0) * (t > 2.0))))
+        news += [event for event in drone.events() if isinstance(event, HeadingNews)]
+    (found,) = news
+    assert math.degrees(found.step) == pytest.approx(150.0, abs=0.1)
+    assert "reset by +150.0° against the gyro: the old one or the new one is wrong" in describe(found)
+    assert "known to ±75°" in describe(found)
+    assert math.degrees(drone.ego_pose(3.9).attitude_sigma) >= 75.0
+    assert drone.own_flight(3.9).doubted

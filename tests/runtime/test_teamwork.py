@@ -116,6 +116,12 @@ def test_a_teammate_that_floods_fills_no_log_and_what_the_others_do_is_still_tol
         ),
         (
             Teamwork.on_heading,
+            HeadingNews(5.0, 2.618, 1.309),
+            "our heading was reset by +150.0° against the gyro: the old one or the new one is wrong, so until we land "
+            "it counts as known to ±75°; announced again",
+        ),
+        (
+            Teamwork.on_heading,
             HeadingNews(5.0, 0.0),
             "our heading has been aligned in flight: announced again",
         ),

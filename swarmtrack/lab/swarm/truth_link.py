@@ -17,6 +17,7 @@ import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.contact import heartbeat
+from swarmtrack.autopilot.datagrams import Address
 from swarmtrack.autopilot.framer import Framer, MavlinkFrame
 from swarmtrack.autopilot.links import LinkDown, open_link
 from swarmtrack.autopilot.signing import Codec
@@ -121,11 +122,11 @@ class TruthLink:
         self._opened_at = self._clock.now()
         self._framer.reset()
 
-    def received(self, t: float, data: bytes) -> bool:
+    def received(self, t: float, data: bytes, sender: Address | None = None) -> bool:
         """Bytes came at t; True when an autopilot's frame was among them."""
         self._bytes += len(data)
         self._heard_at = t
-        frames = self._framer.datagram(data) if self._link.datagrams else self._framer.feed(data)
+        frames = self._framer.feed_from(sender, data) if self._link.datagrams else self._framer.feed(data)
         ours = False
         for frame in frames:
             ours |= self._on_frame(t, frame)

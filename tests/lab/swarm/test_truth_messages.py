@@ -11,7 +11,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 
 from support.places import SHARED
 from swarmtrack.autopilot.framer import Framer
-from swarmtrack.autopilot.links import records
+from swarmtrack.autopilot.tlog import records
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.lab.swarm.truth_messages import TrueSample, TruthReader

@@ -1,0 +1,122 @@
+"""What came from an autopilot, what of it was used, and why not the rest: the last words about an imported log."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from pymavlink.dialects.v20 import common
+
+from swarmtrack.autopilot.contact import Contact
+from swarmtrack.autopilot.framer import Framer
+from swarmtrack.autopilot.limits import SLOWEST_USEFUL_GYRO_HZ
+from swarmtrack.autopilot.streams import GLOBAL_POSITION_INT, LOCAL_POSITION_NED
+from swarmtrack.autopilot.telemetry import Telemetry
+
+# Of messages that are not read, so many kinds are named.
+UNREAD_NAMED = 6
+
+
+@dataclass(slots=True)
+class Arrivals:
+    """Of one kind of message. first, last [s]: when."""
+
+    count: int
+    first: float
+    last: float
+
+    @property
+    def hz(self) -> float:
+        """0 where one came alone."""
+        span = self.last - self.first
+        return (self.count - 1) / span if span > 0.0 else 0.0
+
+
+# How to come to a denser gyro, by the kind of log.
+DENSER_LOGS = {
+    "tlog": "import the autopilot's own log (--bin, --ulog), or let it send faster and record again (ArduPilot "
+    "SRn_RAW_SENS)",
+    "ulog": "fly again with a denser log (SDLOG_PROFILE: high rate)",
+    "bin": "fly again with the fast IMU in LOG_BITMASK (copters: bit 18)",
+}
+
+
+class Account:
+    """Counts the messages of our autopilot; all times are ours [s]. scheme: of the link's address."""
+
+    def __init__(self, scheme: str) -> None:
+        self._scheme = scheme
+        self._came: dict[int, Arrivals] = {}
+
+    def add(self, t: float, message_id: int) -> None:
+        """A message has come at t."""
+        arrivals = self._came.get(message_id)
+        if arrivals is None:
+            self._came[message_id] = Arrivals(1, t, t)
+        else:
+            arrivals.count += 1
+            arrivals.last = t
+
+    def lines(
+        self, contact: Contact, framer: Framer, telemetry: Telemetry, unread: frozenset[int]
+    ) -> Iterator[str]:
+        """Sentences for people. unread: messages that nobody reads."""
+        read = {i: each for i, each in self._came.items() if i not in unread}
+        yield f"came from autopilot {contact.address}: {_in_words(read) or 'nothing that is read'}"
+        gyro, attitudes, positions = telemetry.intakes
+        hz = self._gyro_hz(telemetry)
+        source = f" from {telemetry.imu_source.name} ({hz:.3g} Hz)" if gyro.used else ""
+        yield f"used: {gyro.used} gyro samples{source}, {attitudes.used} attitudes, {positions.used} positions"
+        wasted = [str(intake) for intake in telemetry.intakes if intake.thrown]
+        if telemetry.copies:
+            wasted.append(f"{telemetry.copies} copies of earlier messages")
+        if contact.foreign:
+            wasted.append(f"{contact.foreign} messages of other systems or components")
+        if framer.bad_bytes:
+            wasted.append(f"{framer.bad_bytes} bytes outside of whole frames")
+        ignored = {i: each for i, each in self._came.items() if i in unread}
+        if ignored:
+            named = _in_words(dict(list(ignored.items())[:UNREAD_NAMED]))
+            more = ", …" if len(ignored) > UNREAD_NAMED else ""
+            wasted.append(f"messages that are not read ({named}{more})")
+        if wasted:
+            yield f"not used: {'; '.join(wasted)}"
+        yield from self._lacks(telemetry, contact.received_at)
+
+    def _gyro_hz(self, telemetry: Telemetry) -> float:
+        """Of the samples that were used."""
+        came = self._came.get(telemetry.imu_source.id)
+        return 0.0 if came is None else came.hz * telemetry.gyro.used / came.count
+
+    def _lacks(self, telemetry: Telemetry, now: float) -> Iterator[str]:
+        """What is missing, with the next step."""
+        gyro, attitudes, positions = telemetry.intakes
+        hz = self._gyro_hz(telemetry)
+        denser = DENSER_LOGS.get(self._scheme, DENSER_LOGS["tlog"])
+        if not gyro.used:
+            yield f"no gyro sample is usable, so tracks are lost in each turn: {denser}"
+        elif hz < SLOWEST_USEFUL_GYRO_HZ:
+            yield (
+                f"the gyro is too slow, {hz:.3g} Hz and at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed, so tracks "
+                f"are lost in each turn: {denser}"
+            )
+        if not attitudes.used:
+            yield "no attitude is usable, so nobody is named: ATTITUDE_QUATERNION or ATTITUDE is needed"
+        if not positions.used:
+            why = self._why_no_position(telemetry, now)
+            yield f"no position is usable, so nobody knows where the drone was: {why}"
+
+    def _why_no_position(self, telemetry: Telemetry, now: float) -> str:
+        if lack := telemetry.lack(now):
+            return lack
+        if GLOBAL_POSITION_INT in self._came and LOCAL_POSITION_NED not in self._came:
+            return 'the log has GLOBAL_POSITION_INT only, which drone.start = { from = "gps" } and a team.origin use'
+        return "LOCAL_POSITION_NED is needed"
+
+
+def _in_words(came: dict[int, Arrivals]) -> str:
+    return ", ".join(f"{each.count} {_name(i)} ({each.hz:.3g} Hz)" for i, each in came.items())
+
+
+def _name(message_id: int) -> str:
+    return str(common.mavlink_map[message_id].msgname)

@@ -1,0 +1,256 @@
+"""A ground station's telemetry log: eight bytes of big-endian UTC microseconds in front of each frame.
+
+These stamps are of the clock of the computer that wrote them, which is set in the middle of a flight where it has no
+battery: by seconds, by days, or from 1970 on. The frames' own stamps are of the autopilot's clock, another time base.
+Both count the time that passes, so where neighbouring records are far apart or go back, the frames around them tell how
+long that took, and the rest is a step of the log's clock. It is taken out of all later stamps and reported. Where no
+frame tells, going back is a step, and so is what is longer than any flight; the rest is a pause.
+"""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import NamedTuple
+
+from pymavlink.dialects.v20 import common
+
+from swarmtrack.autopilot.framer import (
+    CRC_LENGTH,
+    HEADER_V1,
+    HEADER_V2,
+    SIGNATURE_LENGTH,
+    SIGNED_FRAME_FLAG,
+    V1,
+    Framer,
+    MavlinkFrame,
+)
+from swarmtrack.autopilot.limits import (
+    CLOCK_RESYNC_S,
+    LONGEST_RECORDING_S,
+    TLOG_PAUSE_S,
+    TLOG_WINDOW_RECORDS,
+    TLOG_WINDOW_S,
+)
+
+STAMP_LENGTH = 8
+# A stamp of the years 1970 … 2103 in microseconds with a magic byte behind it.
+STAMP_AND_MAGIC = re.compile(rb"\x00[\x00-\x0e].{6}[\xfd\xfe]", re.DOTALL)
+# Bytes that a program may have read at once.
+LONGEST_RECORD = 4096
+# Nobody spoke MAVLink before: a computer that says so has never had its clock set. s of UTC, 2004.
+CLOCK_WAS_SET = 1.08e9
+
+
+Bytes = mmap.mmap | bytes
+# By message, of those that begin with a stamp: its length in the payload, and its unit [s].
+STAMPED: dict[int, tuple[int, float]] = {
+    id: {"time_usec": (8, 1e-6), "time_boot_ms": (4, 1e-3)}[message.ordered_fieldnames[0]]
+    for id, message in common.mavlink_map.items()
+    if message.ordered_fieldnames and message.ordered_fieldnames[0] in ("time_usec", "time_boot_ms")
+}
+
+
+class TimeBase(NamedTuple):
+    """A clock by which frames are stamped, in a unit [s]."""
+
+    system: int
+    component: int
+    unit: float
+
+
+class LoggedBytes:
+    """stamp: UTC [s] as the log says; data: a frame, and whatever else stands there; t: stamp without the steps of the
+    log's clock."""
+
+    __slots__ = ("_own_times", "data", "stamp", "t")
+
+    def __init__(self, stamp: float, data: bytes) -> None:
+        self.stamp = self.t = stamp
+        self.data = data
+        self._own_times: list[tuple[TimeBase, float]] | None = None
+
+    @property
+    def own_times(self) -> list[tuple[TimeBase, float]]:
+        """The stamps [s] of its frames, each with its time base."""
+        if self._own_times is None:
+            framer = Framer()
+            frames = framer.feed(self.data) + framer.flush()
+            self._own_times = [stamp for frame in frames if (stamp := _own_time(frame)) is not None]
+        return self._own_times
+
+
+def _own_time(frame: MavlinkFrame) -> tuple[TimeBase, float] | None:
+    if frame.id not in STAMPED:
+        return None
+    length, unit = STAMPED[frame.id]
+    header = HEADER_V1 if frame.data[0] == V1 else HEADER_V2
+    # Version 2 cuts zeros off its payloads.
+    payload = frame.data[header : header + min(length, frame.data[1])]
+    return TimeBase(frame.system, frame.component, unit), unit * int.from_bytes(payload, "little")
+
+
+def records(
+    data: Bytes, on_step: Callable[[float, float], None] = lambda at, by: None
+) -> Iterator[tuple[float, bytes]]:
+    """(UTC [s] by the first record's clock, bytes) of each record of a telemetry log; times never go back.
+
+    on_step: told of each step of the log's clock: s since the first record, and by how much [s].
+    """
+    found = _stamped_records(data)
+    past: deque[LoggedBytes] = deque(maxlen=TLOG_WINDOW_RECORDS)
+    ahead: deque[LoggedBytes] = deque()
+    first = last = None
+    shift = 0.0
+    while (record := _next(ahead, found)) is not None:
+        first = first or record
+        record.t = record.stamp + shift
+        if last is not None and not -CLOCK_RESYNC_S <= record.stamp - last.stamp <= TLOG_PAUSE_S:
+            _look_ahead(ahead, found, record)
+            if _is_alone(last, record, ahead):
+                # Its stamp is damaged: the next ones go on where the last was.
+                yield last.t, record.data
+                continue
+            step = _step(past, (record, *ahead), shift)
+            if step:
+                shift -= step
+                record.t = record.stamp + shift
+                on_step(record.t - first.t, step)
+        if last is not None:
+            record.t = max(record.t, last.t)
+        last = record
+        past.append(record)
+        yield record.t, record.data
+
+
+def _next(ahead: deque[LoggedBytes], found: Iterator[LoggedBytes]) -> LoggedBytes | None:
+    return ahead.popleft() if ahead else next(found, None)
+
+
+def _look_ahead(ahead: deque[LoggedBytes], found: Iterator[LoggedBytes], record: LoggedBytes) -> None:
+    while len(ahead) < TLOG_WINDOW_RECORDS and (not ahead or ahead[-1].stamp - record.stamp < TLOG_WINDOW_S):
+        another = next(found, None)
+        if another is None:
+            return
+        ahead.append(another)
+
+
+def _is_alone(last: LoggedBytes, record: LoggedBytes, ahead: deque[LoggedBytes]) -> bool:
+    """Whether the record after this one goes on where the last one was."""
+    if not ahead:
+        return False
+    elapsed = ahead[0].stamp - last.stamp
+    goes_back = ahead[0].stamp < record.stamp - CLOCK_RESYNC_S
+    return -CLOCK_RESYNC_S <= elapsed <= (TLOG_WINDOW_S if goes_back else CLOCK_RESYNC_S)
+
+
+def _step(past: deque[LoggedBytes], after: Iterable[LoggedBytes], shift: float) -> float:
+    """s by which the log's clock was set in front of `after`, whose first stamp is far from the past's last; 0 for a
+    pause."""
+    after = tuple(after)
+    begin, end = past[-1].stamp, after[0].stamp
+    following = [each for each in after if 0.0 <= each.stamp - end < TLOG_WINDOW_S]
+    before = _delays((each.t, each) for each in past if past[-1].t - each.t < TLOG_WINDOW_S)
+    since = _delays((each.stamp + shift, each) for each in following)
+    # By one clock that went on meanwhile, an autopilot's rather than that of another program on the same computer.
+    bases = [base for base in before.keys() & since.keys() if since[base].first >= before[base].last]
+    if bases:
+        base = max(
+            bases,
+            key=lambda base: (
+                base.component == common.MAV_COMP_ID_AUTOPILOT1,
+                min(before[base].number, since[base].number),
+            ),
+        )
+        step = since[base].least - before[base].least
+        # A burst after a pause makes some delays longer, and none shorter.
+        return step if step < -CLOCK_RESYNC_S or step > TLOG_PAUSE_S else 0.0
+    return 0.0 if 0.0 <= end - begin < LONGEST_RECORDING_S else end - begin
+
+
+class _Delays(NamedTuple):
+    """Of frames by one time base: how many, the first and last stamp [s], and how far the log's clock is ahead of them
+    at least [s]."""
+
+    number: int
+    first: float
+    last: float
+    least: float
+
+
+def _delays(records: Iterable[tuple[float, LoggedBytes]]) -> dict[TimeBase, _Delays]:
+    found: dict[TimeBase, list[tuple[float, float]]] = {}
+    for t, record in records:
+        for base, stamp in record.own_times:
+            found.setdefault(base, []).append((stamp, t - stamp))
+    return {
+        base: _Delays(
+            len(each), min(s for s, _ in each), max(s for s, _ in each), min(delay for _, delay in each)
+        )
+        for base, each in found.items()
+    }
+
+
+def _stamped_records(data: Bytes) -> Iterator[LoggedBytes]:
+    """The records as they stand there, whatever they hold: the framer judges that.
+
+    One ends where its frame's own header says if the next stamp stands there, and else at the next plausible stamp: so
+    a damaged one costs no other, and neither does one that some program has filled with a piece of a stream.
+    """
+    start = next(
+        (m.start() for m in STAMP_AND_MAGIC.finditer(data) if _is_record(data, m.start(), None)), None
+    )
+    while start is not None:
+        stamp = _stamp(data, start)
+        end = _end(data, start)
+        begins = STAMP_AND_MAGIC.match(data, start) is not None
+        found = begins and (_is_near(data, end, stamp) or _is_record(data, end, stamp))
+        following = end if found else _search(data, start + STAMP_LENGTH, stamp)
+        yield LoggedBytes(stamp, data[start + STAMP_LENGTH : following])
+        start = following
+
+
+def _stamp(data: Bytes, start: int) -> float:
+    return int.from_bytes(data[start : start + STAMP_LENGTH], "big") * 1e-6
+
+
+def _end(data: Bytes, start: int) -> int:
+    """Where the record that starts there ends by its frame's own header."""
+    magic, length, flags = [*data[start + STAMP_LENGTH : start + STAMP_LENGTH + 3], 0, 0, 0][:3]
+    header = HEADER_V1 if magic == V1 else HEADER_V2
+    signature = SIGNATURE_LENGTH if magic != V1 and flags & SIGNED_FRAME_FLAG else 0
+    return int(start + STAMP_LENGTH + header + length + CRC_LENGTH + signature)
+
+
+def _is_near(data: Bytes, start: int, stamp: float) -> bool:
+    """Whether a stamp stands there that is hardly later: nothing else looks like that."""
+    return -TLOG_PAUSE_S < _stamp(data, start) - stamp < TLOG_WINDOW_S
+
+
+def _is_record(data: Bytes, start: int, last: float | None) -> bool:
+    """Whether a stamp of any time stands there, with a magic byte behind it. last: the stamp before."""
+    if STAMP_AND_MAGIC.match(data, start) is None:
+        return False
+    stamp, end = _stamp(data, start), _end(data, start)
+    # A payload of zeros looks like 1970, and damage like any year: then the next record must agree.
+    if stamp > CLOCK_WAS_SET and (last is None or abs(stamp - last) < LONGEST_RECORDING_S):
+        return True
+    follows = (
+        STAMP_AND_MAGIC.match(data, end) is not None and abs(_stamp(data, end) - stamp) < LONGEST_RECORDING_S
+    )
+    return follows or end == len(data)
+
+
+def _search(data: Bytes, begin: int, stamp: float) -> int | None:
+    """Where the next record starts; None where there is no other."""
+    # The first bytes of a stamp change once in an hour.
+    same = round(1e6 * stamp).to_bytes(STAMP_LENGTH, "big")[:4]
+    near = begin
+    while (near := data.find(same, near, begin + LONGEST_RECORD)) >= 0:
+        if _is_near(data, near, stamp):
+            return near
+        near += 1
+    found = STAMP_AND_MAGIC.finditer(data, begin)
+    return next((m.start() for m in found if _is_record(data, m.start(), stamp)), None)
