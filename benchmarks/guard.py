@@ -324,7 +324,11 @@ def cost(seconds: float, *, signed: bool = False) -> Cost:
         guard = GuardProcess(FlightLimits(), bytes(32) if signed else None)
         guard.start()
         assert guard.pid is not None
-        guard.reach(WayToAutopilot(Wire(link.fileno(), autopilot.getsockname()), 0.0, 1, 191, target=1, version_1=False))
+        guard.reach(
+            WayToAutopilot(
+                Wire(link.fileno(), autopilot.getsockname()), 0.0, 1, 191, target=1, version_1=False
+            )
+        )
         took, begun, used = [], math.nan, math.nan
         rng = np.random.default_rng(1)
         for k in range(round(10.0 * seconds) + 10):

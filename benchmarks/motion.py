@@ -35,7 +35,7 @@ from swarmtrack.identity.motion_evidence import PUBLISHED, MotionEvidence, Sayin
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.proof import PROVED
 from swarmtrack.identity.reprojection import ObserverCamera
-from swarmtrack.messages import FOREIGN, Announcement, Array, MotionReport, Track, TrackStatus
+from swarmtrack.messages import Announcement, Array, MotionReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.runtime.filed import SOMEWHERE_M
 from swarmtrack.team.joint_identities import JointIdentities
@@ -250,7 +250,15 @@ class _Joint:
         cov, cov_velocity = SAID_M**2 * np.eye(3), SAID_M_S**2 * np.eye(3)
         self._identities.on_motion(
             MotionReport(
-                said.drone_id + 1, "boot", 1, said.t, CLOCK_S, said.displacement, cov, said.velocity, cov_velocity
+                said.drone_id + 1,
+                "boot",
+                1,
+                said.t,
+                CLOCK_S,
+                said.displacement,
+                cov,
+                said.velocity,
+                cov_velocity,
             )
         )
 

@@ -254,6 +254,16 @@ def test_its_frames_are_those_of_pymavlink():
     assert ours == bytes(message.pack(theirs))
 
 
+def test_to_an_autopilot_of_mavlink_1_its_frames_are_of_that_and_to_the_component_that_was_found():
+    speaker = Speaker(7, 192, bytes(range(32)))
+    speaker.version_1, speaker.target = True, 42
+    ours = speaker.frame(Command((1.0, -0.5, 0.25), 0.125), 12.345, 1.7e9)
+    message = common.MAVLink_set_position_target_local_ned_message(
+        12345, 7, 42, common.MAV_FRAME_LOCAL_NED, 0b010111000111, *STILL, 1.0, -0.5, 0.25, *STILL, 0.0, 0.125
+    )
+    assert ours == bytes(message.pack(common.MAVLink(None, 7, 192), force_mavlink1=True))
+
+
 def test_its_signatures_are_good_and_never_of_the_past():
     key = bytes(range(32))
     speaker = Speaker(7, 192, key)

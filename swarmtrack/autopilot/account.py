@@ -19,7 +19,7 @@ UNREAD_NAMED = 6
 
 @dataclass(slots=True)
 class Arrivals:
-    """Of one kind of message. first, last [s]: when."""
+    """Count of one kind of message; first, last [s]: when it came."""
 
     count: int
     first: float
@@ -60,7 +60,7 @@ class Account:
     def lines(
         self, contact: Contact, framer: Framer, telemetry: Telemetry, unread: frozenset[int]
     ) -> Iterator[str]:
-        """Sentences for people. unread: messages that nobody reads."""
+        """Sentences for people. unread: messages without a reader."""
         read = {i: each for i, each in self._came.items() if i not in unread}
         yield f"came from autopilot {contact.address}: {_in_words(read) or 'nothing that is read'}"
         gyro, attitudes, positions = telemetry.intakes
@@ -101,10 +101,10 @@ class Account:
                 f"are lost in each turn: {denser}"
             )
         if not attitudes.used:
-            yield "no attitude is usable, so nobody is named: ATTITUDE_QUATERNION or ATTITUDE is needed"
+            yield "no attitude is usable, so no teammate is named: ATTITUDE_QUATERNION or ATTITUDE is needed"
         if not positions.used:
             why = self._why_no_position(telemetry, now)
-            yield f"no position is usable, so nobody knows where the drone was: {why}"
+            yield f"no position is usable, so the drone's place is unknown: {why}"
 
     def _why_no_position(self, telemetry: Telemetry, now: float) -> str:
         if lack := telemetry.lack(now):

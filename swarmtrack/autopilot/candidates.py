@@ -86,7 +86,7 @@ class AutopilotAddress(NamedTuple):
 
 
 @dataclass(slots=True)
-class Candidate:
+class AutopilotCandidate:
     """A sender of heartbeats that names an autopilot. kind: MAV_TYPE; firmware: MAV_AUTOPILOT; heard_at [s]."""
 
     address: AutopilotAddress
@@ -110,20 +110,20 @@ class Candidate:
         return f"{self.address} ({self.name})"
 
 
-class Candidates:
+class AutopilotCandidates:
     """Autopilots by their heartbeats. expected_system: the configured one, or None."""
 
     def __init__(self, expected_system: int | None) -> None:
         self._expected = expected_system
-        self._heard: dict[AutopilotAddress, Candidate] = {}
+        self._heard: dict[AutopilotAddress, AutopilotCandidate] = {}
         self.first_at = math.inf
         """When the first one was heard that may be ours [s]."""
 
-    def on_heartbeat(self, t: float, address: AutopilotAddress, m: Any) -> Candidate | None:
+    def on_heartbeat(self, t: float, address: AutopilotAddress, m: Any) -> AutopilotCandidate | None:
         """HEARTBEAT from there at t [s]; None where no autopilot sends it."""
         if m.autopilot == common.MAV_AUTOPILOT_INVALID or m.type == common.MAV_TYPE_GCS:
             return None
-        candidate = Candidate(address, m.type, m.autopilot, t)
+        candidate = AutopilotCandidate(address, m.type, m.autopilot, t)
         # Nobody keeps ours out by speaking under many names: one more vehicle only makes it no clearer.
         is_wanted = candidate.is_vehicle and self._expected in (None, address.system)
         if address in self._heard or is_wanted or len(self._heard) < NAMED_SOURCES:
@@ -132,8 +132,8 @@ class Candidates:
             self.first_at = min(self.first_at, t)
         return candidate
 
-    def choose(self, now: float, *, final: bool = False) -> Candidate | None:
-        """Ours, if that is clear by now. final: nobody else will be heard."""
+    def choose(self, now: float, *, final: bool = False) -> AutopilotCandidate | None:
+        """Ours, if that is clear by now. final: no other will be heard."""
         vehicles = self._preferred()
         if len({each.address.system for each in vehicles}) != 1:
             return None
@@ -146,32 +146,32 @@ class Candidates:
         """Whether one is heard, and others may follow."""
         return 0.0 <= now - self.first_at < CANDIDATES_HEARD_S
 
-    def ambiguous(self) -> list[Candidate]:
+    def ambiguous(self) -> list[AutopilotCandidate]:
         """Those that cannot be decided between, one per vehicle; empty where one is to be chosen, or none."""
-        best: dict[int, Candidate] = {}
+        best: dict[int, AutopilotCandidate] = {}
         for each in self._preferred():
             best.setdefault(each.address.system, each)
         return list(best.values()) if len(best) > 1 else []
 
-    def beside(self, ours: AutopilotAddress, now: float) -> list[Candidate]:
-        """Those that are heard beside ours."""
+    def beside(self, ours: AutopilotAddress, now: float) -> list[AutopilotCandidate]:
+        """Those that are heard as well as ours."""
         others = (each for at, each in self._heard.items() if at != ours)
         return [each for each in others if now - each.heard_at < CANDIDATE_GONE_S]
 
-    def rivals(self, ours: AutopilotAddress, now: float) -> list[Candidate]:
-        """Those beside ours that may be our vehicle as well; none where the system is configured."""
+    def rivals(self, ours: AutopilotAddress, now: float) -> list[AutopilotCandidate]:
+        """Others than ours that may be our vehicle; none where the system is configured."""
         if self._expected is not None:
             return []
         return [each for each in self.beside(ours, now) if each.flies and each.address.system != ours.system]
 
-    def _vehicles(self) -> list[Candidate]:
+    def _vehicles(self) -> list[AutopilotCandidate]:
         return [
             each
             for each in self._heard.values()
             if each.is_vehicle and self._expected in (None, each.address.system)
         ]
 
-    def _preferred(self) -> list[Candidate]:
+    def _preferred(self) -> list[AutopilotCandidate]:
         """What flies, else all vehicles; by system and component."""
         vehicles = sorted(self._vehicles(), key=lambda each: each.address)
         return [each for each in vehicles if each.flies] or vehicles

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.candidates import AutopilotAddress, Candidates
+from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidates
 from swarmtrack.autopilot.limits import LINK_NEWS_PERIOD_S
 
 log = logging.getLogger(__package__)
@@ -46,17 +46,17 @@ class Contact:
     known_at: float = 0.0
     heard_at: float = -math.inf
     others: dict[AutopilotAddress, str] = field(default_factory=dict)
-    candidates: Candidates = field(init=False)
+    candidates: AutopilotCandidates = field(init=False)
     signature_trouble: str = ""
     foreign: int = 0
     reconnects: int = 0
 
     def __post_init__(self) -> None:
-        self.candidates = Candidates(self.expected_system)
+        self.candidates = AutopilotCandidates(self.expected_system)
 
     @property
     def address(self) -> AutopilotAddress:
-        """Of our autopilot, once it is chosen."""
+        """Our autopilot's, once it is chosen."""
         return AutopilotAddress(self.system or 0, self.component)
 
 

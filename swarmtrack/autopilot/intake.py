@@ -8,7 +8,7 @@ from swarmtrack.autopilot.limits import IMU_RATE_WINDOW_S, INTAKE_LEAST
 
 
 class Intake:
-    """Of one thing, named in the plural by `noun`. used; thrown: by the reason, in words; both since the start."""
+    """Counts of one thing, named in the plural by `noun`. used; thrown: by the reason; both since the start."""
 
     def __init__(self, noun: str) -> None:
         self.noun = noun

@@ -105,7 +105,7 @@ class LinkState:
         return State.NO_POSE if telemetry.has_no_pose(now) else State.STREAMING
 
     def is_shared(self, now: float) -> bool:
-        """Whether two autopilots speak under the ID of ours."""
+        """Whether two autopilots send under the ID of ours."""
         return self._sharing(now) != ""
 
     def _sharing(self, now: float) -> str:
@@ -120,13 +120,13 @@ class LinkState:
         contact, telemetry = self.contact, self.telemetry
         if sharing := self._sharing(now):
             text = (
-                f"two autopilots speak as system {contact.system} component {contact.component}, {sharing}: "
+                f"two autopilots send as system {contact.system} component {contact.component}, {sharing}: "
                 "give each vehicle an ID of its own (ArduPilot SYSID_THISMAV or MAV_SYSID, PX4 MAV_SYS_ID)"
             )
             return "shared", text, "no single autopilot"
         if rivals := contact.candidates.rivals(contact.address, now):
             names = " and ".join(map(str, rivals))
-            text = f"two autopilots speak, {contact.address} is used and {names} came later: {SET_SYSTEM}"
+            text = f"two autopilots send, {contact.address} is used and {names} came later: {SET_SYSTEM}"
             return "rival", text, "no single autopilot"
         if telemetry.fault:
             return telemetry.fault.partition(": ")[2], telemetry.fault, "no sound data"
@@ -183,11 +183,11 @@ class LinkState:
         if contact.signature_trouble:
             return "signature", f"frames, but {contact.signature_trouble}"
         if contact.candidates.listens(now):
-            return "listening", "an autopilot is heard, listening for others"
+            return "listening", "an autopilot is there, listening for others"
         if ambiguous := contact.candidates.ambiguous():
             names = " and ".join(map(str, ambiguous))
             number = "two" if len(ambiguous) == 2 else len(ambiguous)
-            return "ambiguous", f"{number} autopilots speak, {names}: {SET_SYSTEM}"
+            return "ambiguous", f"{number} autopilots send, {names}: {SET_SYSTEM}"
         others = ", ".join(f"{at} {what}".strip() for at, what in contact.others.items())
         expected = "" if contact.expected_system is None else f" of system {contact.expected_system}"
         return (
@@ -208,7 +208,7 @@ class LinkState:
         place = ", no LOCAL_POSITION_NED comes" if telemetry.has_no_place(now) else ""
         copies = f", {telemetry.copies} copies dropped" if telemetry.copies else ""
         beside = ", ".join(map(str, self.contact.candidates.beside(self.contact.address, now)))
-        heard = f", beside {beside}" if beside else ""
+        heard = f", also on the link: {beside}" if beside else ""
         return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}{place}{copies}{heard}"
 
     def trouble(self, now: float) -> str:

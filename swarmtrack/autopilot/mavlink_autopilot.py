@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.arguments import page
 from swarmtrack.autopilot.account import Account
-from swarmtrack.autopilot.candidates import AutopilotAddress, Candidate, vehicle_name
+from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidate, vehicle_name
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter, heartbeat
 from swarmtrack.autopilot.datagrams import Address
 from swarmtrack.autopilot.engagement import PilotEngagement
@@ -262,7 +262,7 @@ class MavlinkAutopilot:
         self._telemetry.measure(now)
         self._link_state.update(now)
         if self._engagement is not None and self._link_state.is_shared(now):
-            self._engagement.fail(f"two autopilots speak as system {self.system}")
+            self._engagement.fail(f"two autopilots send as system {self.system}")
 
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:
@@ -285,7 +285,7 @@ class MavlinkAutopilot:
         self._telemetry.ask_time(now)
 
     def _choose_version(self, now: float) -> None:
-        """MAVLink 2, which most autopilots speak once they hear it; else what this one speaks."""
+        """MAVLink 2, which most autopilots send once they hear it; else what this one speaks."""
         contact, codec = self._contact, self._codec
         waited = now - max(self._met_at, contact.opened_at) > MAVLINK_1_AFTER_S
         version_1 = waited and not codec.has_key and contact.version_2_at < contact.opened_at
@@ -483,7 +483,7 @@ class MavlinkAutopilot:
 
     def _look_for_autopilot(self, now: float, *, final: bool = False) -> bool:
         """Once it is clear which one is ours, deliver what it has said; True where a frame of it was among that. final:
-        nobody else will be heard.
+        no other will be heard.
         """
         contact = self._contact
         if contact.system is not None:
@@ -501,7 +501,7 @@ class MavlinkAutopilot:
             ours |= self._on_frame(*self._early.popleft())
         return ours
 
-    def _meet(self, ours: Candidate, now: float) -> None:
+    def _meet(self, ours: AutopilotCandidate, now: float) -> None:
         contact = self._contact
         contact.system, contact.component = ours.address
         self._codec.system = ours.address.system

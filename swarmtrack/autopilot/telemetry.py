@@ -220,11 +220,11 @@ class Telemetry:
         return self._is_slow
 
     def has_no_place(self, now: float) -> bool:
-        """Whether no local position comes beside the gyro. A start by GPS says more, see `lack`."""
+        """Whether gyro samples come without a local position. A start by GPS says more, see `lack`."""
         return self._gps is None and now - max(self._placed_at, self._imu_since) > POSE_MISSED_S
 
     def has_no_pose(self, now: float) -> bool:
-        """Whether no attitude comes beside the gyro."""
+        """Whether gyro samples come without an attitude."""
         return now - max(self._pose_at, self._imu_since) > POSE_MISSED_S
 
     def expects_copies(self, t: float) -> bool:

@@ -209,7 +209,7 @@ FAULTS: dict[str, Fault] = {
     ),
     "autopilot.second": Fault(
         F,
-        "several autopilots speak on this link: {reason}",
+        "several autopilots send on this link: {reason}",
         "set autopilot.system_id in this drone's config to the system ID of its own autopilot",
     ),
     "autopilot.shared": Fault(

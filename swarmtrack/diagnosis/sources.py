@@ -44,8 +44,8 @@ CAMERA_TROUBLES = (
     ("camera.silent", r"waiting for the first frame|no frame for|no frame yet|nothing for|not opened yet"),
 )
 AUTOPILOT_TROUBLES = (
-    ("autopilot.shared", r"two autopilots speak as system"),
-    ("autopilot.second", r"autopilots speak, "),
+    ("autopilot.shared", r"two autopilots send as system"),
+    ("autopilot.second", r"autopilots send, "),
     ("autopilot.too_slow", r"the gyro is too slow"),
     ("autopilot.thrown_away", r": faulty: "),
     ("autopilot.no_pose", r": no pose: "),

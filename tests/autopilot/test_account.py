@@ -62,7 +62,10 @@ async def test_what_is_missing_is_named_with_the_next_step(tmp_path):
     *_, attitude, position = await account(
         logged(tmp_path / "a.tlog", FakeAutopilot(boot_at=60.0), rates=rates)
     )
-    assert attitude == "no attitude is usable, so nobody is named: ATTITUDE_QUATERNION or ATTITUDE is needed"
+    assert (
+        attitude
+        == "no attitude is usable, so no teammate is named: ATTITUDE_QUATERNION or ATTITUDE is needed"
+    )
     assert 'GLOBAL_POSITION_INT only, which drone.start = { from = "gps" }' in position
     *_, gyro, _, _ = await account(logged(tmp_path / "b.tlog", FakeAutopilot(boot_at=60.0), rates={}))
     assert gyro.startswith("no gyro sample is usable")
@@ -72,7 +75,7 @@ async def test_of_two_vehicles_in_one_log_none_is_taken(tmp_path):
     both = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=30.0, system=2)
     log = logged(tmp_path / "a.tlog", *both, rates={RAW_IMU: 100.0})
     with pytest.raises(
-        SourceError, match=r"two autopilots speak, 1/1 .* and 2/1 .*: set autopilot\.system_id"
+        SourceError, match=r"two autopilots send, 1/1 .* and 2/1 .*: set autopilot\.system_id"
     ):
         await account(log)
 

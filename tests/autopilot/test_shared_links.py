@@ -14,7 +14,7 @@ from pymavlink.dialects.v20 import common
 
 from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, FakePx4
-from swarmtrack.autopilot.candidates import AutopilotAddress, Candidates
+from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidates
 from swarmtrack.autopilot.engagement import PilotEngagement
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
@@ -130,7 +130,7 @@ async def test_two_vehicles_of_one_id_are_said_and_the_first_one_s_clock_is_kept
         flight.fly(6.0)
         status = flight.unit.status()
         assert not status.ok
-        assert ": faulty: two autopilots speak as system 1 component 1, their clocks are " in status.text
+        assert ": faulty: two autopilots send as system 1 component 1, their clocks are " in status.text
         apart = float(status.text.partition("clocks are ")[2].partition(" s")[0])
         assert apart == pytest.approx(abs(60.0 - boot_at), abs=0.2)
         assert flight.listener.reboots == 0
@@ -165,14 +165,14 @@ async def test_another_vehicle_of_our_id_ends_the_engagement():
             flight.fly(0.1)
             engagement.tick(flight.clock.now())
         assert not engagement.engaged
-        assert engagement.take_end() == "two autopilots speak as system 1"
+        assert engagement.take_end() == "two autopilots send as system 1"
 
 
 async def test_two_kinds_of_vehicle_of_one_id_are_told_apart_by_their_heartbeats():
     plane = Silent(1, common.MAV_TYPE_FIXED_WING, after=3.0)
     async with Flight(FakeAutopilot(boot_at=60.0), plane) as flight:
         flight.fly(8.0)
-        assert "two autopilots speak as system 1 component 1, a quadrotor and a plane: " in flight.text
+        assert "two autopilots send as system 1 component 1, a quadrotor and a plane: " in flight.text
 
 
 # --- who is ours -------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ TRACKER, ROVER, QUADROTOR, CAMERA = (
 )
 @pytest.mark.parametrize("backwards", [False, True])
 def test_what_flies_is_ours_and_two_vehicles_are_not_decided_between(heard, expected, chosen, backwards):
-    candidates = Candidates(expected)
+    candidates = AutopilotCandidates(expected)
     for number, (address, kind) in enumerate(sorted(heard.items(), reverse=backwards)):
         beat = common.MAVLink_heartbeat_message(kind, 3, 81, 0, 3, 3)
         candidates.on_heartbeat(10.0 + 0.9 * number, AutopilotAddress(*address), beat)
@@ -222,14 +222,14 @@ def test_what_flies_is_ours_and_two_vehicles_are_not_decided_between(heard, expe
 def test_only_who_is_asked_for_by_id_is_not_waited_with():
     beat = common.MAVLink_heartbeat_message(QUADROTOR, 3, 81, 0, 3, 3)
     for expected, waited in ((None, True), (4, False)):
-        candidates = Candidates(expected)
+        candidates = AutopilotCandidates(expected)
         candidates.on_heartbeat(10.0, AutopilotAddress(4, 1), beat)
         assert (candidates.choose(10.0) is None) == waited
         assert candidates.choose(10.0, final=True) is not None
 
 
 def test_nobody_keeps_ours_out_by_speaking_under_many_names():
-    candidates = Candidates(7)
+    candidates = AutopilotCandidates(7)
     for system in range(20, 250):
         for component in (1, 2):
             camera = common.MAVLink_heartbeat_message(CAMERA, 3, 81, 0, 3, 3)
@@ -245,7 +245,7 @@ async def test_an_antenna_tracker_that_speaks_first_is_named_and_not_flown():
         flight.fly(5.0)
         assert flight.unit.system == 1
         assert flight.unit.status().ok
-        assert flight.text.endswith(", beside 2/1 (antenna tracker)")
+        assert flight.text.endswith(", also on the link: 2/1 (antenna tracker)")
     async with Flight(Silent(2, TRACKER)) as flight:
         flight.fly(5.0)
         assert "no autopilot heartbeat (heard: 2/1 antenna tracker)" in flight.text
@@ -255,7 +255,7 @@ async def test_of_two_vehicles_none_is_chosen_and_nothing_is_asked_of_either(cap
     ours, neighbour = FakeAutopilot(), FakeAutopilot(system=2)
     async with Flight(neighbour, ours) as flight:
         flight.fly(6.0)
-        expected = "two autopilots speak, 1/1 (quadrotor) and 2/1 (quadrotor): set autopilot.system_id"
+        expected = "two autopilots send, 1/1 (quadrotor) and 2/1 (quadrotor): set autopilot.system_id"
         assert expected in flight.text
         assert expected in caplog.text
         assert not flight.unit.status().ok
@@ -265,7 +265,7 @@ async def test_of_two_vehicles_none_is_chosen_and_nothing_is_asked_of_either(cap
     async with Flight(FakeAutopilot(system=2), FakeAutopilot(), system_id=2) as flight:
         flight.fly(6.0)
         assert flight.unit.status().ok
-        assert flight.text.endswith(", beside 1/1 (quadrotor)")
+        assert flight.text.endswith(", also on the link: 1/1 (quadrotor)")
 
 
 async def test_a_second_vehicle_that_comes_later_is_said_and_the_first_one_kept():
@@ -275,7 +275,7 @@ async def test_a_second_vehicle_that_comes_later_is_said_and_the_first_one_kept(
         assert flight.unit.status().ok
         flight.fly(3.0)
         assert (
-            "two autopilots speak, 1/1 is used and 2/1 (quadrotor) came later: set autopilot.sys"
+            "two autopilots send, 1/1 is used and 2/1 (quadrotor) came later: set autopilot.sys"
             in flight.text
         )
         assert not flight.unit.status().ok
