@@ -13,10 +13,12 @@ OLD_BOOT_ON_ITS_WAY_S = 0.5
 # Announcements (`peers`, `outgoing`): from a newcomer's token to the first question; what it says of itself may be on
 # its way.
 NEWCOMER_GRACE_S = 0.05
-# Between two questions to a teammate whose announcement is missing.
-ANNOUNCEMENT_QUESTION_PERIOD_S = 0.5
-# Between two requests to announce again, at both ends.
+# Between two requests to announce again, at both ends; the next comes after twice the time until one is fulfilled, and
+# so on, so many times.
 ANNOUNCEMENT_REQUEST_PERIOD_S: Final = 1.0
+REQUEST_BACK_OFFS: Final = 6
+# Questions of subscribers that come within so long get one put together; twice as long while they go on.
+ANSWERS_TOGETHER_S, MAX_ANSWERS_TOGETHER_S = 0.05, 0.8
 # For which the same bytes are told again: a flood of questions costs no encoding.
 ANSWER_FRESH_S: Final = 0.05
 # More than a hundred newcomers ask at once; whoever is refused asks again.
@@ -31,13 +33,17 @@ CLASH_MARGIN_S: Final = 0.5
 # That two boots of one ID may live beside each other in memory. Nothing there takes time, but a restart in two steps.
 MEMORY_CLASH_S = 0.1
 
-# Silence (`silence`, `zenoh_transport`): between two of a teammate's reports; and without a word, until it is asked.
+# Silence (`silence`, `zenoh_transport`): between two of a teammate's reports; and without a word, until it is asked. It
+# is asked again after twice the time, and so on, so many times: after 77 s at most.
 REPORT_PERIOD_S: Final = 1.0
 ASK_AFTER_SILENCE_S: Final = 1.2 * REPORT_PERIOD_S
-# Leases without a word, until links are made again; and how many times longer before it is done again.
+QUESTION_BACK_OFFS: Final = 6
+# Between two questions to those that owe no word: a hundred drones that do not report cost less than their keep-alives.
+QUESTION_REST_S: Final = 4.8
+# Leases without a word, until something is done; and the first period in which it is not done again for that teammate.
 REOPEN_LEASES: Final = 2.0
-REOPEN_BACK_OFF: Final = 4.0
-# Between two times that all links are made again; a start with two fifths lost takes ten.
+REMEDY_PERIOD_S: Final = 600.0
+# Between two times that all links are made again, for different teammates; a start with two fifths lost takes ten.
 REOPEN_REST_S: Final = 15.0
 # Between two checks of who says nothing.
 SILENCE_CHECK_PERIOD_S: Final = 0.5
@@ -80,7 +86,7 @@ PACE_CHECK_PERIOD_S: Final = 0.2
 # After which it is worth a line of the log again.
 PACE_LOG_QUIET_S: Final = 60.0
 
-# Links (`link_watch`, `knocking`, `tcp_options`, `ports`, `joining`): between two checks.
+# Links (`link_watch`, `knocking`, `tcp_options`, `ports`, `addresses`, `joining`): between two checks.
 LINK_CHECK_PERIOD_S: Final = 1.0
 # Checks after the start: whoever starts with us is there by then.
 LINK_START_CHECKS: Final = 10
@@ -95,6 +101,8 @@ TCP_OPTIONS_PERIOD_S: Final = 0.2
 # A predecessor that is ending holds its ports for a moment.
 PORT_TRIES: Final = 8
 PORT_TRY_PERIOD_S: Final = 0.25
+# For a name that is not in /etc/hosts, where the name server does not answer (`addresses`).
+LOOK_UP_S: Final = 2.0
 # Between two attempts.
 REJOIN_PERIOD_S: Final = 1.0
 

@@ -64,7 +64,7 @@ class Bridge:
 
         def on_reply(reply: zenoh.Reply) -> None:
             is_answer = reply.ok is not None or (
-                reply.err is not None and reply.err.payload.to_bytes() == keys.NOTHING_YET
+                reply.err is not None and reply.err.payload.to_bytes() in (keys.NOTHING_YET, keys.HERE)
             )
             if on_answer is not None and is_answer:
                 self._schedule(self._loop.call_soon_threadsafe, on_answer)

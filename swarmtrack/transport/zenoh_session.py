@@ -85,13 +85,11 @@ def ask_for_announcement(
     team: str,
     drone_id: int,
     answers: Bridge,
-    *,
-    anew: bool = False,
+    *words: str,
     on_answer: Callable[[], object] | None = None,
 ) -> None:
-    """`ask` for a pose. anew: have the drone publish its announcement again, in addition to the answer."""
-    key = keys.key(team, Kind.POSE, drone_id)
-    ask(session, f"{key}?{keys.ANEW}" if anew else key, answers, on_answer)
+    """`ask` for a pose. words: parameters of the query, see `keys`."""
+    ask(session, f"{keys.key(team, Kind.POSE, drone_id)}?{';'.join(filter(None, words))}", answers, on_answer)
 
 
 def ask(

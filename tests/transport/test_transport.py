@@ -9,6 +9,7 @@ import math
 import os
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
 from typing import Any, Protocol
 
 import msgspec
@@ -32,12 +33,18 @@ from swarmtrack.messages import (
     Sighting,
     SightingReport,
 )
-from swarmtrack.transport import keys
+from swarmtrack.transport import keys, silence
 from swarmtrack.transport.base import Kind, Transport
-from swarmtrack.transport.limits import MAX_BOOTS_PER_ID, MAX_PEERS
+from swarmtrack.transport.limits import (
+    ANSWERS_PER_S,
+    ANSWERS_TOGETHER_S,
+    MAX_ANSWERS_TOGETHER_S,
+    MAX_BOOTS_PER_ID,
+    MAX_PEERS,
+)
 from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
-from swarmtrack.transport.outgoing import Outgoing
+from swarmtrack.transport.outgoing import Outgoing, Together
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.transport.settings import NetworkSettings, check
 from swarmtrack.wire import codec
@@ -524,6 +531,56 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
     assert heard(victim.told) == [(2, friend.boot, 0), (2, friend.boot, 1)]
 
 
+async def test_who_reports_without_having_our_announcement_is_told_of_us_again_over_the_same_links(
+    team: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Part of what we declared was lost with a link; others, who have it, see us neither go nor come."""
+    zenoh = pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    monkeypatch.setattr(silence, "REOPEN_LEASES", 0.5)
+    world = ZenohWorld()
+    us, witness = [
+        Agent(
+            world.transport(team, drone_id, f"0000000{drone_id}", clock),
+            drone_id,
+            f"0000000{drone_id}",
+            clock,
+        )
+        for drone_id, clock in ((1, ManualClock()), (2, ManualClock()))
+    ]
+    for agent in (us, witness):
+        await agent.transport.open()
+    await us.announce()
+    await witness.hears(1, us.boot)
+    await world.put("hello", b"")
+    assert isinstance(world, ZenohWorld)
+    changes: list[tuple[str, bool]] = []
+    session = world.intruder
+    token = session.liveliness().declare_token(keys.key(team, Kind.ALIVE, 3, "0000000c"))
+    alive = session.liveliness().declare_subscriber(
+        keys.key(team, Kind.ALIVE, 1, "**"),
+        lambda sample: changes.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)),
+    )
+    sequences = itertools.count(1)
+    async with asyncio.timeout(PATIENCE):
+        while not changes:
+            said = report(3, "0000000c", next(sequences), 0.0)
+            payload = codec.encode(sightings_message(replace(said, known=(2,)), us.clock.utc(), 0.0))
+            await world.put(keys.key(team, Kind.IDENTITIES, 3), payload)
+            await asyncio.sleep(0.2)
+    assert changes == [(keys.key(team, Kind.ALIVE, 1, us.boot, 1), True)]
+    us.report(1)
+    await witness.until(lambda told: bool(reports(told)))
+    assert not any(isinstance(event, PeerDeparted) and event.drone_id == 1 for event in witness.told)
+    curious = Agent(world.transport(team, 4, "0000000d", ManualClock()), 4, "0000000d", ManualClock())
+    await curious.transport.open()
+    await curious.hears(1, us.boot)  # its queryable answers again, too
+    alive.undeclare()
+    token.undeclare()
+    for agent in (us, witness, curious):
+        await agent.leave()
+    await world.close()
+
+
 @pytest.mark.parametrize("question", ["lost on its way", "kept without an answer"])
 async def test_where_a_teammate_neither_reports_nor_answers_though_its_link_stands_links_are_made_again(
     team: str, caplog: pytest.LogCaptureFixture, question: str
@@ -722,6 +779,24 @@ def test_a_flood_of_questions_is_answered_within_bounds_and_signed_once() -> Non
     later = outgoing.answer()
     assert later is not None
     assert codec.decode(AnnouncementMessage, later).age_s == pytest.approx(12.0)
+
+
+def test_questions_of_one_moment_wait_for_one_answer_and_longer_while_they_go_on() -> None:
+    together = Together[int]()
+    assert together.add(1) == ANSWERS_TOGETHER_S
+    assert together.take() == [1]
+    waits = []
+    for _ in range(8):
+        waits.append(together.add(1))
+        assert together.add(2) is None
+        assert together.take() == [1, 2]
+    assert waits == [min(ANSWERS_TOGETHER_S * 2**k, MAX_ANSWERS_TOGETHER_S) for k in range(8)]
+    together.add(3)
+    assert together.take() == [3]
+    assert together.add(4) == ANSWERS_TOGETHER_S
+    for question in range(10_000):
+        together.add(question)
+    assert len(together.take()) == ANSWERS_PER_S
 
 
 # --- the sender's clock, pure ---
