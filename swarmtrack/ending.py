@@ -18,8 +18,8 @@ def end_at_once_if_stuck(code: int) -> None:
     bear that and aborts the process.
     """
     if any(thread.name.startswith(ZENOH_THREADS) for thread in threading.enumerate()):
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
         os._exit(code)
 
 
@@ -30,6 +30,7 @@ def reader_may_leave() -> Iterator[None]:
         try:
             yield
         finally:
-            sys.stdout.flush()  # what is left is written as the interpreter ends, where nobody catches anything
+            if sys.stdout is not None:  # it was closed before we began
+                sys.stdout.flush()  # what is left is written as the interpreter ends, where nobody catches anything
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

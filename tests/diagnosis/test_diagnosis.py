@@ -47,7 +47,6 @@ from swarmtrack.diagnosis.surroundings import (
 )
 from swarmtrack.diagnosis.tracking import check_tracking
 from swarmtrack.doctor import machine
-from swarmtrack.runtime.network_facts import _multicast
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
@@ -56,6 +55,7 @@ from swarmtrack.messages import IdClash, LinkStatus, PeerDeparted, StampKind
 from swarmtrack.motion.hand_eye import Agreement, HandEye
 from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.network_facts import _multicast
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
 from swarmtrack.wire import codec
