@@ -12,7 +12,7 @@ OLD_BOOT_ON_ITS_WAY_S = 0.5
 
 # Announcements (`peers`, `outgoing`): from a newcomer's token to the first question; what it says of itself may be on
 # its way.
-NEWCOMER_GRACE_S = 0.05
+NEWCOMER_GRACE_S = 0.15
 # Between two requests to announce again, at both ends; the next comes after twice the time until one is fulfilled, and
 # so on, so many times.
 ANNOUNCEMENT_REQUEST_PERIOD_S: Final = 1.0
@@ -39,7 +39,7 @@ REPORT_PERIOD_S: Final = 1.0
 ASK_AFTER_SILENCE_S: Final = 1.2 * REPORT_PERIOD_S
 QUESTION_BACK_OFFS: Final = 6
 # Between two questions to those that owe no word: a hundred drones that do not report cost less than their keep-alives.
-QUESTION_REST_S: Final = 4.8
+QUESTION_REST_S: Final = 9.6
 # Leases without a word, until something is done; and the first period in which it is not done again for that teammate.
 REOPEN_LEASES: Final = 2.0
 REMEDY_PERIOD_S: Final = 600.0
@@ -98,6 +98,8 @@ LINK_NAMES_SHOWN: Final = 8
 KNOCK_PERIOD_S: Final = 1.0
 # A new link's first loss is not much older.
 TCP_OPTIONS_PERIOD_S: Final = 0.2
+# Of each socket.
+TCP_OPTIONS_LOOKS: Final = 5
 # A predecessor that is ending holds its ports for a moment.
 PORT_TRIES: Final = 8
 PORT_TRY_PERIOD_S: Final = 0.25
@@ -114,8 +116,9 @@ MAX_RADIOS, MAX_MEASURED_PER_RADIO = 4, 1024
 MAX_ZENOH_BYTES: Final = 1024 * 1024
 # Between two with keys (`links.Links.PAIR`).
 MAX_LINKS_PER_PAIR: Final = 2
-# In one lease. With 4, a link of idle datagrams was lost twice a minute where a fifth of all frames is.
-KEEP_ALIVES_PER_LEASE, DATAGRAM_KEEP_ALIVES_PER_LEASE = 4, 6
+# In one lease, of streams, which repeat what is lost, and where there are datagrams: with 4, an idle link of those was
+# lost twice a minute where a fifth of all frames is.
+KEEP_ALIVES_PER_LEASE, DATAGRAM_KEEP_ALIVES_PER_LEASE = 3, 6
 # What stalls in a handshake waits longer and longer, and is better begun again; one that loses two packets is not.
 HANDSHAKE_MS: Final = 4000
 # Then the next router is tried.

@@ -89,7 +89,7 @@ def ask_for_announcement(
     on_answer: Callable[[], object] | None = None,
 ) -> None:
     """`ask` for a pose. words: parameters of the query, see `keys`."""
-    ask(session, f"{keys.key(team, Kind.POSE, drone_id)}?{';'.join(filter(None, words))}", answers, on_answer)
+    ask(session, f"{keys.key(team, Kind.POSE, drone_id)}?{';'.join(words)}", answers, on_answer)
 
 
 def ask(

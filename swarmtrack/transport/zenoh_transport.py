@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 from collections import Counter
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -33,6 +34,7 @@ from swarmtrack.transport.limits import (
     CLASH_MARGIN_S,
     MAX_BOOTS_PER_ID,
     MAX_LIVELINESS_TOKENS,
+    NEWCOMER_GRACE_S,
     SESSION_OPEN_S,
     SESSION_PUT_S,
     SILENCE_CHECK_PERIOD_S,
@@ -98,6 +100,7 @@ class ZenohTransport:
         self._renewed = False
         self._declared: list[Any] = []
         self._tokens_declared = 0
+        self._put_at = -math.inf
         self._together = Together[zenoh.Query]()
         self._answering: set[asyncio.Task[None]] = set()
         self._bridges: list[Bridge] = []
@@ -159,7 +162,7 @@ class ZenohTransport:
             await asyncio.sleep(SILENCE_CHECK_PERIOD_S)
             if self._session is None:
                 continue
-            ask = partial(self._ask, keys.LIFE)
+            ask = partial(self._ask, (keys.LIFE,))
             remedies = self._peers.listen_for_silence(self._linked(links_up(self._session)), ask)
             if remedies.reopen:
                 whom = ", ".join(map(str, remedies.reopen))
@@ -193,7 +196,9 @@ class ZenohTransport:
         self._session = session
         self._tasks += [
             asyncio.create_task(self._giving_way.run(session, lambda: len(self._peers.alive)), name="pace"),
-            asyncio.create_task(self._peers.ask_for_missing(partial(self._ask, "")), name="reconciliation"),
+            asyncio.create_task(
+                self._peers.ask_for_missing(partial(self._ask, (keys.SUBSCRIBED_TOO,))), name="reconciliation"
+            ),
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
             asyncio.create_task(keep_options(), name="TCP options"),
             asyncio.create_task(
@@ -292,6 +297,7 @@ class ZenohTransport:
 
     def _put(self, session: zenoh.Session) -> None:
         """Our announcement, to all."""
+        self._put_at = self._clock.now()
         payload = self._outgoing.encode()
         assert payload is not None
         session.put(
@@ -304,7 +310,7 @@ class ZenohTransport:
 
     def request_announcement(self, drone_id: int) -> None:
         if self._session is not None and self._peers.may_request(drone_id):
-            self._ask(keys.ANEW, drone_id)
+            self._ask((keys.ANEW, keys.SUBSCRIBED_TOO), drone_id)
 
     def describe(self, camera: bytes) -> None:
         self._outgoing.camera = camera
@@ -400,6 +406,10 @@ class ZenohTransport:
                 query.reply_err(keys.NOTHING_YET)
             elif keys.SUBSCRIBED_TOO not in words:
                 self._reply(query)
+            elif self._network.mode is Mode.PEER and self._clock.now() - self._put_at < NEWCOMER_GRACE_S:
+                query.reply_err(
+                    keys.HERE
+                )  # it was linked before it asked, and so before that put, which is on its way
             else:
                 wait_s = self._together.add(query)
                 if wait_s is not None:
@@ -433,15 +443,14 @@ class ZenohTransport:
         if payload is not None:
             query.reply(self._outgoing.camera_key, payload, encoding=keys.ENCODINGS[Kind.CAMERA])
 
-    def _ask(self, word: str, drone_id: int) -> None:
-        """word: a parameter of the query, besides that we are subscribed."""
+    def _ask(self, words: tuple[str, ...], drone_id: int) -> None:
+        """words: parameters of the query."""
         if self._session is not None:
             ask_for_announcement(
                 self._session,
                 self._network.team,
                 drone_id,
                 self._messages,
-                word,
-                keys.SUBSCRIBED_TOO,
+                *words,
                 on_answer=partial(self._peers.on_answer, drone_id),
             )
