@@ -60,7 +60,7 @@ CLOCK_DIFFERENCES_KEPT: Final = 16
 CLOCK_STEP_S: Final = 5.0
 
 # Congestion (`congestion`): round trips that are kept of a link.
-CONGESTION_SAMPLES: Final = 3
+CONGESTION_SAMPLES: Final = 2
 # Without an answer to what was sent, while it could be that nothing was sent.
 SIGN_OF_LIFE_S: Final = 0.5
 # The mean round trip moves by an eighth of what a new sample is off.
@@ -68,15 +68,33 @@ ROUND_TRIP_MEAN_WEIGHT: Final = 8
 
 # Pacing (`pacing`, `giving_way`): packets wait so long, far beyond what a radio that sleeps between beacons adds.
 PACKETS_LATE_S: Final = 0.25
+# And this share of the shortest round trip: a long way varies more.
+PACKETS_LATE_SHARE: Final = 0.5
 # That TCP could not send yet: a quarter of a second of 64 kbit/s.
 PACKETS_UNSENT_BYTES: Final = 2048
-# Between two cuts: until the first is felt.
+# Between two cuts: until the first is felt. And what is left of the rate.
 PACE_CUT_HOLD_S: Final = 0.6
-PACE_FIRST_BYTES_PER_S: Final = 2000.0
-PACE_LEAST_BYTES_PER_S: Final = 1000.0
+PACE_CUT: Final = 0.7
+# Tracks messages per second to each listener that nobody is denied, and those of the few seconds of a trial.
+PACE_LEAST_HZ, PACE_TRIAL_HZ = 5.0, 2.0
+# The least rate before the first message.
+PACE_LEAST_BYTES_PER_S: Final = 2000.0
+# A trial takes so long, at least and at most, until packets wait for less than these shares of the time before: over,
+# or shorter.
+PACE_TRIAL_LEAST_S, PACE_TRIAL_S = 2.0, 4.0
+PACE_TRIAL_OVER, PACE_TRIAL_SHORTER = 0.5, 0.8
+# What no packet waits for but in a queue; and times the least, what is low.
+PACE_DEEP_QUEUE_S, PACE_LOW = 1.0, 1.5
+# After a trial that shortened nothing, until the next; twice as long after each further one, so many times.
+PACE_TRIAL_REST_S: Final = 15.0
+PACE_TRIAL_BACK_OFFS: Final = 4
+# Unless packets wait so many times longer than in that trial.
+PACE_WORSE: Final = 2.0
+# Looks of which the median counts in a trial: two seconds.
+PACE_USUAL_LOOKS: Final = 10
 # Growth in a second: before packets waited, and after.
-PACE_QUICK_GROWTH, PACE_CAREFUL_GROWTH = 8.0, 1.2
-PACE_BURST_S: Final = 0.2
+PACE_QUICK_GROWTH, PACE_CAREFUL_GROWTH = 2.0, 1.2
+PACE_BURST_S: Final = 0.4
 # Times what is asked for: no limit then.
 PACE_UNLIMITED_FACTOR: Final = 2.0
 # Of each message below Zenoh: QUIC or TCP and TLS, IP, the radio's header.
@@ -100,6 +118,8 @@ KNOCK_PERIOD_S: Final = 1.0
 TCP_OPTIONS_PERIOD_S: Final = 0.2
 # Of each socket.
 TCP_OPTIONS_LOOKS: Final = 5
+# With the headers of TCP, IPv6 and a radio in frames of less than 1000 bytes.
+LONGEST_SEGMENT_BYTES: Final = 880
 # A predecessor that is ending holds its ports for a moment.
 PORT_TRIES: Final = 8
 PORT_TRY_PERIOD_S: Final = 0.25

@@ -339,6 +339,10 @@ class ZenohTransport:
             kind is not Kind.VIDEO or self._giving_way.has_listener(channel)
         )
 
+    @property
+    def is_narrow(self) -> bool:
+        return self._giving_way.is_limited
+
     def events(self) -> AsyncIterator[PeerEvent]:
         return self._peers.events()
 

@@ -158,3 +158,11 @@ def test_who_dials_us_gets_the_options_of_the_socket_that_listens() -> None:
         with socket.create_connection(door.getsockname()) as caller, door.accept()[0] as accepted:
             assert accepted.getsockopt(socket.IPPROTO_TCP, TCP_THIN_LINEAR_TIMEOUTS)
             assert not caller.getsockopt(socket.IPPROTO_TCP, TCP_THIN_LINEAR_TIMEOUTS)
+
+
+def test_segments_fit_into_frames_of_a_thousand_bytes_both_ways_wherever_one_of_ours_listens() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        set_options()
+        with socket.create_connection(door.getsockname()) as caller, door.accept()[0] as accepted:
+            for end in (caller, accepted):
+                assert end.getsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG) + 54 + 20 < 1000
