@@ -13,6 +13,8 @@ OLD_BOOT_ON_ITS_WAY_S = 0.5
 # Announcements (`peers`, `outgoing`): from a newcomer's token to the first question; what it says of itself may be on
 # its way.
 NEWCOMER_GRACE_S = 0.15
+# From an answer that it was just put until it is asked for again.
+PUT_ON_ITS_WAY_S: Final = 0.3
 # Between two requests to announce again, at both ends; the next comes after twice the time until one is fulfilled, and
 # so on, so many times.
 ANNOUNCEMENT_REQUEST_PERIOD_S: Final = 1.0

@@ -24,6 +24,7 @@ from swarmtrack.transport.limits import (
     ASK_AFTER_SILENCE_S,
     MAX_WAITING_EVENTS,
     NEWCOMER_GRACE_S,
+    PUT_ON_ITS_WAY_S,
     QUESTION_BACK_OFFS,
     REPORTED_CLOCKS_AGREE_S,
     REQUEST_BACK_OFFS,
@@ -108,6 +109,8 @@ class Peers:
         self._newcomer = asyncio.Event()
         self._requested: dict[int, _Request] = {}
         self._announced = False
+        self._due: dict[int, float] = {}
+        """When to ask whom whose announcement is missing."""
         self._closed = False
         self._counters: Counter[str] = Counter()
 
@@ -191,12 +194,16 @@ class Peers:
     def _present(self, linked: Collection[int]) -> set[int]:
         return {*self._membership.peers, *linked} - {self._drone_id}
 
-    def on_answer(self, drone_id: int) -> None:
+    def on_answer(self, drone_id: int, word: bytes = b"") -> None:
         """A teammate answered a query. A drone whose token is lost may answer too, and is not a teammate for that
-        reason.
+        reason. word: what it said instead of a pose.
         """
+        now = asyncio.get_running_loop().time()
         if drone_id in self._membership.peers:
-            self._silence.mark_answered(drone_id, asyncio.get_running_loop().time())
+            self._silence.mark_answered(drone_id, now)
+        if word == keys.HERE and drone_id in self._due:  # it has just put what we ask for: is it on its way?
+            self._due[drone_id] = min(self._due[drone_id], now + PUT_ON_ITS_WAY_S)
+            self._newcomer.set()
 
     def on_announced(self) -> None:
         """We announced ourselves, so teammates should come to know us."""
@@ -291,12 +298,12 @@ class Peers:
         announcement is missing: one that has none yet will put it. Also reports IDs whose apparent restart is a clash.
         """
         loop = asyncio.get_running_loop()
-        due: dict[int, float] = {}
         asked: Counter[int] = Counter()
         while True:
             now = loop.time()
-            due = {
-                drone_id: due.get(drone_id, now + NEWCOMER_GRACE_S) for drone_id in self._membership.missing
+            due = self._due = {
+                drone_id: self._due.get(drone_id, now + NEWCOMER_GRACE_S)
+                for drone_id in self._membership.missing
             }
             asked = Counter({drone_id: n for drone_id, n in asked.items() if drone_id in due})
             for drone_id in [drone_id for drone_id, t in due.items() if t <= now]:

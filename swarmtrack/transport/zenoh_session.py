@@ -86,14 +86,14 @@ def ask_for_announcement(
     drone_id: int,
     answers: Bridge,
     *words: str,
-    on_answer: Callable[[], object] | None = None,
+    on_answer: Callable[[bytes], object] | None = None,
 ) -> None:
     """`ask` for a pose. words: parameters of the query, see `keys`."""
     ask(session, f"{keys.key(team, Kind.POSE, drone_id)}?{';'.join(words)}", answers, on_answer)
 
 
 def ask(
-    session: zenoh.Session, selector: str, answers: Bridge, on_answer: Callable[[], object] | None = None
+    session: zenoh.Session, selector: str, answers: Bridge, on_answer: Callable[[bytes], object] | None = None
 ) -> None:
     """Query every process with the drone's ID, including a clone. Returns at once."""
     with contextlib.suppress(zenoh.ZError):  # the session is closing

@@ -297,7 +297,7 @@ class ZenohTransport:
 
     def _put(self, session: zenoh.Session) -> None:
         """Our announcement, to all."""
-        self._put_at = self._clock.now()
+        self._put_at = self._loop.time()
         payload = self._outgoing.encode()
         assert payload is not None
         session.put(
@@ -410,7 +410,7 @@ class ZenohTransport:
                 query.reply_err(keys.NOTHING_YET)
             elif keys.SUBSCRIBED_TOO not in words:
                 self._reply(query)
-            elif self._network.mode is Mode.PEER and self._clock.now() - self._put_at < NEWCOMER_GRACE_S:
+            elif self._network.mode is Mode.PEER and self._loop.time() - self._put_at < NEWCOMER_GRACE_S:
                 query.reply_err(
                     keys.HERE
                 )  # it was linked before it asked, and so before that put, which is on its way
