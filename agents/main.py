@@ -8,10 +8,10 @@ from importlib import import_module
 
 from swarmtrack import __version__
 from swarmtrack.arguments import add_commands, unknown
-from swarmtrack.ending import end_at_once_if_stuck, reader_may_leave
+from swarmtrack.ending import end_at_once_if_stuck, print_in_any_encoding, reader_may_leave
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.log_lines import plain_warnings
-from swarmtrack.plain_text import plain, print_in_any_encoding
+from swarmtrack.plain_text import plain
 
 GROUPS = {
     "try it": {

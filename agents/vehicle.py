@@ -15,10 +15,9 @@ from pathlib import Path
 
 from swarmtrack import __version__
 from swarmtrack.arguments import add_file, add_flag, add_seconds
-from swarmtrack.ending import end_at_once_if_stuck, reader_may_leave
+from swarmtrack.ending import end_at_once_if_stuck, print_in_any_encoding, reader_may_leave
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, ungrouped
 from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
-from swarmtrack.plain_text import print_in_any_encoding
 
 DONE, FAILED, WRONG_USAGE = 0, 1, 2
 # s, for the interpreter's own end: together with CLOSE_TIMEOUT below the 2 s that a supervisor is promised

@@ -7,9 +7,6 @@ before it is shown, logged or sent.
 
 from __future__ import annotations
 
-import io
-import sys
-
 LONGEST_PLAIN_TEXT = 500
 """Characters of one line."""
 LONGEST_OF_SEVERAL = 2000
@@ -27,13 +24,6 @@ def plain(text: str, longest: int = LONGEST_PLAIN_TEXT) -> str:
     if text.isprintable():
         return text
     return "".join(sign if sign.isprintable() else " " if sign.isspace() else UNPRINTABLE for sign in text)
-
-
-def print_in_any_encoding() -> None:
-    """Have what stdout's encoding lacks ("±" in ASCII, half a character in any) printed as "?" instead of an error."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace" if stream is sys.stdout else "backslashreplace")
 
 
 def plain_lines(text: str) -> str:

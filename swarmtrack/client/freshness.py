@@ -1,13 +1,13 @@
 """Whether a message is news, or repeated, out of order, or of another time.
 
-Nobody on the network can forge a member's message in a team with keys, but a router can repeat one, and any network may
-deliver late. Such a message is handed over with a mark: what to do with it is the planner's to decide.
+A member's message cannot be forged in a team with keys, but a router can repeat one, and any network may deliver late.
+Such a message is handed over with a mark: what to do with it is the planner's to decide.
 
 A message's order is by what only grows in one run of its sender's process: a sequence, or the time since its start.
 Its time is compared with our wall clock. A drone whose clock is off by hours is known after `CLOCK_LEARNED_OF` messages
 in order whose times agree with each other: from then on its times are compared with that clock of its own.
 
-Pure state; one `Freshness` per drone and kind of message.
+Pure state; one `MessageOrder` per drone and kind of message.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Mark(enum.StrEnum):
     """Its time is more than two seconds from now by the clock that its drone is known to have, or by ours."""
 
 
-class Freshness:
+class MessageOrder:
     """Takes each message as it arrives."""
 
     def __init__(self) -> None:

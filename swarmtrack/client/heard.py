@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TypeVar
 
 from swarmtrack.client.axes import Axes
-from swarmtrack.client.freshness import Freshness, Mark
+from swarmtrack.client.freshness import Mark, MessageOrder
 from swarmtrack.client.sight import DroneCamera, DroneHealth, Sight, camera_of, sight_of
 from swarmtrack.clock import Clock, SystemClock
 from swarmtrack.messages import PeerArrived, PeerDeparted
@@ -40,7 +40,7 @@ class HeardTeam:
         self._membership = Membership(NO_DRONE_ID, "", CLASH_S)
         self._cameras: dict[tuple[int, str], DroneCamera] = {}
         self._clock = clock or SystemClock()
-        self._freshness: dict[tuple[int, Kind], Freshness] = {}
+        self._freshness: dict[tuple[int, Kind], MessageOrder] = {}
         self._counters: Counter[str] = Counter()
 
     @property
@@ -117,7 +117,7 @@ class HeardTeam:
         self, drone_id: int, kind: Kind, order: float, t_utc_s: float, arrived: float
     ) -> frozenset[Mark]:
         """Why a message is no news, counted."""
-        freshness = self._freshness.setdefault((drone_id, kind), Freshness())
+        freshness = self._freshness.setdefault((drone_id, kind), MessageOrder())
         marks = freshness.marks(order, t_utc_s, arrived + self._clock.utc() - self._clock.now())
         self._counters.update(f"{kind}_{mark.replace(' ', '_')}" for mark in marks)
         return marks

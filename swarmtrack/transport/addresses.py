@@ -1,7 +1,7 @@
 """Addresses of [network] that can never link a team: found before flight, by `config check`, doctor and agent alike.
 
 A shared file names every drone. A name may mean something else on each machine: on Debian a machine's own name means
-127.0.1.1, and whoever listens there is heard by nobody else. And Zenoh 1.10 takes an IPv6 address for the name in a
+127.0.1.1, where no other machine can dial it. And Zenoh 1.10 takes an IPv6 address for the name in a
 certificate, which it cannot be, so with keys no such address can be dialled.
 """
 
@@ -19,7 +19,7 @@ from swarmtrack.transport.links import EndpointTemplate, host_of
 from swarmtrack.transport.settings import parse_endpoint
 
 LookUp = Callable[[Collection[str]], Mapping[str, tuple[str, ...]]]
-"""Host names to their IP addresses on this machine; a name that nobody knows is left out."""
+"""Host names to their IP addresses on this machine; an unknown name is left out."""
 
 
 def look_up(hosts: Collection[str]) -> dict[str, tuple[str, ...]]:
@@ -44,9 +44,7 @@ def look_up(hosts: Collection[str]) -> dict[str, tuple[str, ...]]:
 def check_addresses(
     section: NetworkSection, *, secured: bool, drone_id: int | None = None, look_up: LookUp = look_up
 ) -> None:
-    """Raise TransportError that names the entry. secured: with keys. drone_id: whose machine this is,
-    None: nobody's.
-    """
+    """Raise TransportError that names the entry. secured: with keys. drone_id: that of this machine, if it is one's."""
     peers = section.peers if section.topology == "mesh" else {}
     if secured:
         dialled = {f"network.peers: {i}": peers[i] for i in sorted(peers, key=int)}
@@ -73,7 +71,7 @@ def check_addresses(
 
 
 def _check_loopback(section: NetworkSection, own: str, look_up: LookUp) -> None:
-    """Whoever is on loopback is met there only: that is right for all drones of a team, or for none."""
+    """A drone on loopback is met there only: that is right for all drones of a team, or for none."""
     listen = section.listen or (section.peers[own],)
     others = {i: address for i, address in section.peers.items() if i != own}
     hosts = {_host(address) for address in (*listen, *others.values())}

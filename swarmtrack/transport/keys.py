@@ -26,7 +26,7 @@ KEY_VERSION = "v1"
 # know whether you are there, not where.
 ANEW, SUBSCRIBED_TOO, LIFE = "anew", "subscribed", "life"
 # Answers without a pose: nothing announced yet; I am here.
-NOTHING_YET, HERE = b"nothing announced yet", b"here"
+NOTHING_YET, IS_HERE = b"nothing announced yet", b"here"
 
 ENCODINGS: dict[Kind, str] = {
     Kind.POSE: "application/msgpack;swarmtrack.Announcement/1",

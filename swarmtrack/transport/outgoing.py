@@ -43,11 +43,11 @@ class _Budget:
         return self._answers <= ANSWERS_PER_S
 
 
-class Together(Generic[Q]):
+class JointAnswers(Generic[Q]):
     """Questions that wait for one answer: those that come within a moment of the first get the same put.
 
     The moment is short, and twice as long each time that several had come, so in the rush of a start each drone puts
-    its announcement a few times instead of answering everybody. Any thread may call.
+    its announcement a few times instead of answering each question. Any thread may call.
     """
 
     def __init__(self) -> None:

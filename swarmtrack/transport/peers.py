@@ -201,7 +201,9 @@ class Peers:
         now = asyncio.get_running_loop().time()
         if drone_id in self._membership.peers:
             self._silence.mark_answered(drone_id, now)
-        if word == keys.HERE and drone_id in self._due:  # it has just put what we ask for: is it on its way?
+        if (
+            word == keys.IS_HERE and drone_id in self._due
+        ):  # it has just put what we ask for: is it on its way?
             self._due[drone_id] = min(self._due[drone_id], now + PUT_ON_ITS_WAY_S)
             self._newcomer.set()
 
@@ -210,7 +212,7 @@ class Peers:
         self._announced = True
 
     def _on_word(self, drone_id: int, *, report: bool = False) -> None:
-        """A message of a live teammate that nobody asked for."""
+        """A live teammate sent a message without being asked."""
         self._silence.mark_heard(drone_id, asyncio.get_running_loop().time(), report=report)
 
     def on_request(self) -> None:

@@ -11,8 +11,8 @@ time, whether it answers or not. One that never reported owes no word, so of all
 
 Silence. A teammate is *not heard* after a lease without the word that it owes: a report, an answer, its token.
 
-Remedies. Zenoh cannot close a link to a single peer. Links are closed, all of them, only where nobody at all is heard
-over them: whoever is silent beside others that are heard is deaf or mute itself. What may have been lost of *our*
+Remedies. Zenoh cannot close a link to a single peer. Links are closed, all of them, only where nothing at all is heard
+over them: a teammate that is silent while others are heard is deaf or mute itself. What may have been lost of *our*
 declarations is cheaper: where a linked teammate was never heard, or reports without having our announcement, we declare
 ourselves again over the links that stand. Each has a budget per teammate that no word of it renews: once in ten
 minutes, then twice as long.
@@ -38,7 +38,7 @@ from swarmtrack.transport.limits import (
 
 
 @dataclass(slots=True)
-class _Teammate:
+class _Heard:
     """heard: time of the last word; at first, when it was first seen to be present. asked, asked_last: times of the
     first and the last question since then. questions: how many since the last word of its own. lacks_us: since when
     it reports without having our announcement.
@@ -69,8 +69,8 @@ class _Teammate:
         return now - last > ASK_AFTER_SILENCE_S * 2.0 ** min(self.questions, QUESTION_BACK_OFFS)
 
 
-class _Budget:
-    """Of one remedy: per teammate once in `REMEDY_PERIOD_S`, then in twice that time, and so on."""
+class _RemedyBudget:
+    """Limit of one remedy: per teammate once in `REMEDY_PERIOD_S`, then in twice that time, and so on."""
 
     def __init__(self) -> None:
         self._spent: dict[int, tuple[float, float]] = {}
@@ -90,10 +90,10 @@ class Silence:
     """present: IDs of teammates that are alive, by their tokens, or linked; `news` takes note of who comes and goes."""
 
     lease_s: float
-    _all: dict[int, _Teammate] = field(default_factory=dict)
+    _all: dict[int, _Heard] = field(default_factory=dict)
     _told: set[int] = field(default_factory=set)
-    _reopening: _Budget = field(default_factory=_Budget)
-    _repeating: _Budget = field(default_factory=_Budget)
+    _reopening: _RemedyBudget = field(default_factory=_RemedyBudget)
+    _repeating: _RemedyBudget = field(default_factory=_RemedyBudget)
     _reopened_at: float = -math.inf
     _stranger_asked_at: float = -math.inf
     """When one was asked last that owed no word."""
@@ -104,18 +104,18 @@ class Silence:
 
     def mark_heard(self, drone_id: int, now: float, *, report: bool = False) -> None:
         """A word of its own. report: one of those that come each second."""
-        one = self._all.setdefault(drone_id, _Teammate(now))
+        one = self._all.setdefault(drone_id, _Heard(now))
         one.heard, one.is_heard, one.asked, one.questions = now, True, None, 0
         one.reports |= report
 
     def mark_answered(self, drone_id: int, now: float) -> None:
         """An answer to a question: it lives, but does not speak by itself, so the next question comes later."""
-        one = self._all.setdefault(drone_id, _Teammate(now))
+        one = self._all.setdefault(drone_id, _Heard(now))
         one.heard, one.is_heard, one.asked = now, True, None
 
     def mark_known(self, drone_id: int, now: float, *, known: bool) -> None:
         """A report says whether that teammate has our announcement."""
-        one = self._all.setdefault(drone_id, _Teammate(now))
+        one = self._all.setdefault(drone_id, _Heard(now))
         if known:
             one.lacks_us = None
         elif one.lacks_us is None:
@@ -154,7 +154,7 @@ class Silence:
         for gone in self._all.keys() - here:
             del self._all[gone]
         for new in here - self._all.keys():
-            self._all[new] = _Teammate(now)
+            self._all[new] = _Heard(now)
         self._told &= here
         silent = self.silent(here, now)
         new_ones, back = silent.keys() - self._told, self._told - silent.keys()
@@ -168,7 +168,7 @@ class Silence:
         ]
 
     def to_reopen(self, present: Iterable[int], now: float) -> list[int]:
-        """Teammates for which all links are to be closed and opened again; none while anybody is heard."""
+        """Teammates for which all links are to be closed and opened again; none while any is heard."""
         here = set(present)
         silent = self.silent(here, now)
         if silent.keys() != here or now - self._reopened_at < REOPEN_REST_S:

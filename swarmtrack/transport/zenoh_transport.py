@@ -3,7 +3,7 @@
 An announcement is put once, served by a queryable, and queried by every process that sees a liveliness token without
 one: a put alone is lost where it overtakes the links, and a query alone where it overtakes the queryable's
 declaration. Tokens converge by themselves, so they drive the rest. Where many ask at once, as in a start, they get one
-put (`outgoing.Together`).
+put (`outgoing.JointAnswers`).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from swarmtrack.transport.limits import (
     SILENCE_CHECK_PERIOD_S,
 )
 from swarmtrack.transport.link_watch import LinksUp, LinkWatch, links_up
-from swarmtrack.transport.outgoing import Outgoing, Sign, Together
+from swarmtrack.transport.outgoing import JointAnswers, Outgoing, Sign
 from swarmtrack.transport.peers import Peers, Verify, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.tcp_options import keep_options
@@ -101,7 +101,7 @@ class ZenohTransport:
         self._declared: list[Any] = []
         self._tokens_declared = 0
         self._put_at = -math.inf
-        self._together = Together[zenoh.Query]()
+        self._together = JointAnswers[zenoh.Query]()
         self._answering: set[asyncio.Task[None]] = set()
         self._bridges: list[Bridge] = []
         self._watch = LinkWatch(network)
@@ -255,8 +255,8 @@ class ZenohTransport:
         ]
 
     async def _declare_again(self) -> None:
-        """What Zenoh lost with a link it never says again, unless it is declared anew. The token stays, for those that
-        have it, beside a further one.
+        """Declare again what Zenoh may have lost with a link, and never repeats by itself. The token stays, for those
+        that have it; a further one joins it.
         """
         session = self._session
         if session is None:
@@ -405,14 +405,14 @@ class ZenohTransport:
             if keys.ANEW in words and self._outgoing.accept_request():
                 self._loop.call_soon_threadsafe(self._peers.on_request)
             if keys.LIFE in words:
-                query.reply_err(keys.HERE)
+                query.reply_err(keys.IS_HERE)
             elif not self._outgoing.announced:
                 query.reply_err(keys.NOTHING_YET)
             elif keys.SUBSCRIBED_TOO not in words:
                 self._reply(query)
             elif self._network.mode is Mode.PEER and self._loop.time() - self._put_at < NEWCOMER_GRACE_S:
                 query.reply_err(
-                    keys.HERE
+                    keys.IS_HERE
                 )  # it was linked before it asked, and so before that put, which is on its way
             else:
                 wait_s = self._together.add(query)

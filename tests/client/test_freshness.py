@@ -7,7 +7,7 @@ import pytest
 
 from support.seen_swarm import seen
 from swarmtrack.client.axes import Axes
-from swarmtrack.client.freshness import CLOCK_LEARNED_OF, Freshness, Mark
+from swarmtrack.client.freshness import CLOCK_LEARNED_OF, Mark, MessageOrder
 from swarmtrack.client.heard import HeardTeam
 from swarmtrack.clock import ManualClock
 from swarmtrack.transport import keys
@@ -18,17 +18,19 @@ NOW, DAY, YEAR = 1.7e9, 86400.0, 365 * 86400.0
 REPEATED, OUT_OF_ORDER, OFF_TIME = ({mark} for mark in Mark)
 
 
-def flown(freshness: Freshness, sequences: range, *, off: float = 0.0, hz: float = 50.0) -> list[set[Mark]]:
+def flown(
+    freshness: MessageOrder, sequences: range, *, off: float = 0.0, hz: float = 50.0
+) -> list[set[Mark]]:
     """Marks of messages that come in time, from a drone whose clock is `off` behind ours."""
     return [set(freshness.marks(k, NOW + k / hz - off, NOW + k / hz + 0.01)) for k in sequences]
 
 
 def test_what_comes_in_order_and_in_time_is_news_though_some_are_lost():
-    assert not any(flown(Freshness(), range(1, 1000, 3)))
+    assert not any(flown(MessageOrder(), range(1, 1000, 3)))
 
 
 def test_a_repeated_and_an_overtaken_message_are_told_apart():
-    freshness = Freshness()
+    freshness = MessageOrder()
     for k in (1, 2, 4):
         assert not freshness.marks(k, NOW, NOW)
     assert freshness.marks(4, NOW, NOW) == REPEATED
@@ -39,15 +41,15 @@ def test_a_repeated_and_an_overtaken_message_are_told_apart():
 
 @pytest.mark.parametrize("off", [DAY, -YEAR, 2.5, -2.5])
 def test_a_message_of_another_time_is_marked_from_the_first_and_between_others(off: float):
-    assert Freshness().marks(7, NOW - off, NOW) == OFF_TIME
-    freshness = Freshness()
+    assert MessageOrder().marks(7, NOW - off, NOW) == OFF_TIME
+    freshness = MessageOrder()
     flown(freshness, range(1, 100))
     assert freshness.marks(100, NOW + 2.0 - off, NOW + 2.0) >= OFF_TIME
     assert not any(flown(freshness, range(101, 200)))
 
 
 def test_a_drone_whose_clock_is_hours_off_is_soon_known_and_another_time_is_seen_by_its_own_clock():
-    freshness = Freshness()
+    freshness = MessageOrder()
     marked = flown(freshness, range(1, 200), off=7200.0)
     assert marked[: CLOCK_LEARNED_OF - 1] == [OFF_TIME] * (CLOCK_LEARNED_OF - 1)
     assert not any(marked[CLOCK_LEARNED_OF:])
@@ -55,7 +57,7 @@ def test_a_drone_whose_clock_is_hours_off_is_soon_known_and_another_time_is_seen
 
 
 def test_old_messages_that_are_played_again_beside_new_ones_never_become_news():
-    freshness, old = Freshness(), iter(range(10_000, 20_000))
+    freshness, old = MessageOrder(), iter(range(10_000, 20_000))
     for k in range(1, 1000):
         assert not freshness.marks(20_000 + k, NOW + k / 50, NOW + k / 50)
         assert freshness.marks(next(old), NOW - DAY + k / 50, NOW + k / 50) == {

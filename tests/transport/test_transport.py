@@ -44,7 +44,7 @@ from swarmtrack.transport.limits import (
 )
 from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
-from swarmtrack.transport.outgoing import Outgoing, Together
+from swarmtrack.transport.outgoing import JointAnswers, Outgoing
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.transport.settings import NetworkSettings, check
 from swarmtrack.wire import codec
@@ -782,7 +782,7 @@ def test_a_flood_of_questions_is_answered_within_bounds_and_signed_once() -> Non
 
 
 def test_questions_of_one_moment_wait_for_one_answer_and_longer_while_they_go_on() -> None:
-    together = Together[int]()
+    together = JointAnswers[int]()
     assert together.add(1) == ANSWERS_TOGETHER_S
     assert together.take() == [1]
     waits = []
