@@ -51,7 +51,7 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message
 from swarmtrack.wire.motion import motion_message
 from swarmtrack.wire.ranging import range_message
-from swarmtrack.wire.sightings import SightingsMessage, sightings_message
+from swarmtrack.wire.sightings import SightingsMessage, report_from_nowhere, sightings_message
 
 
 def announcement(drone_id: int, boot: str, sequence: int = 0, t: float = 0.0) -> Announcement:
@@ -334,6 +334,20 @@ async def test_reports_of_sightings_are_told_in_order_and_once(start: Start) -> 
     await eventually(lambda: listener.counter("sightings_repeated") == 2)
     assert [r.sequence for r in reports(listener.told)] == [0, 3, 4]
     assert reports(listener.told)[0].sightings[0].drone_id == 9
+
+
+async def test_a_report_from_nowhere_is_a_sign_of_life_and_says_nothing_else(start: Start) -> None:
+    listener, lost = await start(1), await start(2)
+    await lost.announce()
+    await listener.hears(2, lost.boot)
+    for sequence in (1, 2):
+        said = report_from_nowhere(2, lost.boot, sequence, lost.clock.now())
+        payload = codec.encode(sightings_message(said, lost.clock.utc() - lost.clock.now(), lost.clock.now()))
+        lost.transport.publish(Kind.IDENTITIES, payload)
+    lost.report(3)
+    await listener.until(lambda told: bool(reports(told)))
+    assert [each.sequence for each in reports(listener.told)] == [3]
+    assert listener.counter("sightings_malformed") == 0
 
 
 async def test_a_report_on_a_key_or_of_a_boot_that_is_not_its_own_is_refused(
