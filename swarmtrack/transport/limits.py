@@ -118,8 +118,6 @@ LINK_NAMES_SHOWN: Final = 8
 KNOCK_PERIOD_S: Final = 1.0
 # A new link's first loss is not much older.
 TCP_OPTIONS_PERIOD_S: Final = 0.2
-# Of each socket.
-TCP_OPTIONS_LOOKS: Final = 5
 # With the headers of TCP, IPv6 and a radio in frames of less than 1000 bytes.
 LONGEST_SEGMENT_BYTES: Final = 880
 # A predecessor that is ending holds its ports for a moment.

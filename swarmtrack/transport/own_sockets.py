@@ -6,16 +6,16 @@ import contextlib
 import os
 import socket
 import stat
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 DESCRIPTORS: Final = Path("/proc/self/fd")
 
 
-def own_streams(besides: Collection[int] = ()) -> Iterator[socket.socket]:
+def own_streams() -> Iterator[socket.socket]:
     """A duplicate of each TCP socket, for the duration of the iteration. None where the system does not list
-    descriptors. besides: inodes of sockets to leave out.
+    descriptors.
     """
     try:
         descriptors = [int(name) for name in os.listdir(DESCRIPTORS)]
@@ -23,7 +23,7 @@ def own_streams(besides: Collection[int] = ()) -> Iterator[socket.socket]:
         return
     for descriptor in descriptors:
         with contextlib.suppress(OSError):  # it is gone
-            copy = _copy(descriptor, besides)
+            copy = _copy(descriptor)
             if copy is None:
                 continue
             with copy:
@@ -31,10 +31,9 @@ def own_streams(besides: Collection[int] = ()) -> Iterator[socket.socket]:
                     yield copy
 
 
-def _copy(descriptor: int, besides: Collection[int]) -> socket.socket | None:
+def _copy(descriptor: int) -> socket.socket | None:
     """A descriptor of its own: Zenoh may close the original meanwhile."""
-    found = os.fstat(descriptor)
-    if not stat.S_ISSOCK(found.st_mode) or found.st_ino in besides:
+    if not stat.S_ISSOCK(os.fstat(descriptor).st_mode):
         return None
     own = os.dup(descriptor)
     try:

@@ -19,13 +19,11 @@ every way carries which carries QUIC, and most that do not.
 from __future__ import annotations
 
 import asyncio
-import os
 import socket
 import struct
-from collections import Counter
 from typing import Final
 
-from swarmtrack.transport.limits import LONGEST_SEGMENT_BYTES, TCP_OPTIONS_LOOKS, TCP_OPTIONS_PERIOD_S
+from swarmtrack.transport.limits import LONGEST_SEGMENT_BYTES, TCP_OPTIONS_PERIOD_S
 from swarmtrack.transport.own_sockets import own_streams
 
 _LINGER: Final = struct.Struct("ii")
@@ -34,25 +32,14 @@ _THIN_LINEAR_TIMEOUTS: Final = 16  # Linux has it since 2.6.34; Python has no na
 
 async def keep_options() -> None:
     """Until cancelled: set what is new."""
-    as_wanted: Counter[int] = Counter()
     while True:
-        set_options(as_wanted)
+        set_options()
         await asyncio.sleep(TCP_OPTIONS_PERIOD_S)
 
 
-def set_options(as_wanted: Counter[int] | None = None) -> int:
-    """Number of this process's sockets that were newly set. as_wanted: how often each was found to be set, by inode;
-    after a few times, when Zenoh has surely done its own to it, it is left alone.
-    """
-    counts = Counter() if as_wanted is None else as_wanted
-    newly = 0
-    for stream in own_streams(
-        besides={inode for inode, times in counts.items() if times >= TCP_OPTIONS_LOOKS}
-    ):
-        is_new = _set(stream)
-        newly += is_new
-        counts[os.fstat(stream.fileno()).st_ino] += not is_new
-    return newly
+def set_options() -> int:
+    """Number of this process's sockets that were newly set."""
+    return sum(map(_set, own_streams()))
 
 
 def _set(stream: socket.socket) -> bool:
