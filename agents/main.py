@@ -8,7 +8,7 @@ from importlib import import_module
 
 from swarmtrack import __version__
 from swarmtrack.arguments import add_commands, unknown
-from swarmtrack.ending import end_at_once_if_stuck, reader_may_leave
+from swarmtrack.ending import end_at_once_if_stuck, print_in_any_encoding, reader_may_leave
 from swarmtrack.errors import SwarmtrackError
 from swarmtrack.log_lines import plain_warnings
 from swarmtrack.plain_text import plain
@@ -73,6 +73,7 @@ EXAMPLES = """where to begin:
 def main(argv: list[str] | None = None) -> int:
     """The console script. Exit codes: 0 done, 2 wrong usage, 1 anything else."""
     code = 0
+    print_in_any_encoding()
     with reader_may_leave():
         arguments = parse(sys.argv[1:] if argv is None else argv)
         plain_warnings()

@@ -36,7 +36,6 @@ if TYPE_CHECKING:
     from swarmtrack.lab.swarm.table import Spectator
 
 PASSED, FAILED, NOT_JUDGED = 0, 1, 3
-SLOW_TO_PREPARE = 200  # drones: of more, their places take seconds to find
 DEFAULT_SCENARIO = "hover-triangle"
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
@@ -155,8 +154,6 @@ def run(args: argparse.Namespace) -> int:
         check_writable(args.json)
     plan = _plan(args, scenario or DEFAULT_SCENARIO)
     console = Console()
-    if plan.drones is not None and plan.drones > SLOW_TO_PREPARE:
-        console.print(f"preparing {plan.drones} drones …", highlight=False)
     if plan.drones is not None:
         _check_memory(plan.drones, plan.detector)  # before they are prepared
     whole = plan.load().scenario

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import asyncio
 import gc
-import io
 import logging
 import os
 import shlex
@@ -16,7 +15,7 @@ from pathlib import Path
 
 from swarmtrack import __version__
 from swarmtrack.arguments import add_file, add_flag, add_seconds
-from swarmtrack.ending import end_at_once_if_stuck, reader_may_leave
+from swarmtrack.ending import end_at_once_if_stuck, print_in_any_encoding, reader_may_leave
 from swarmtrack.errors import ConfigError, SwarmtrackError, TransportError, ungrouped
 from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
 
@@ -35,6 +34,7 @@ def main(argv: list[str] | None = None) -> int:
         # As a program: Ctrl-C while NumPy loads, seconds on a Pi, ends it without a traceback.
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     code = DONE
+    print_in_any_encoding()
     with reader_may_leave():
         code = _run(parser().parse_args(argv))
     return code
@@ -42,8 +42,6 @@ def main(argv: list[str] | None = None) -> int:
 
 def _run(arguments: argparse.Namespace) -> int:
     log_to_stderr(logging.getLevelNamesMapping()[arguments.log.upper()], AGENT_FORMAT)
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="replace")  # "±" on a terminal without it is no reason to end a flight
     try:
         return _check(arguments.config) if arguments.check else _fly(arguments)
     except ConfigError as error:

@@ -122,6 +122,11 @@ async def measure(team: Team) -> Outcome:
         for process in shares:
             assert process.stdin is not None
             process.stdin.write(f"{start}\n".encode())
+        for process in shares:
+            await said(process)  # its sessions know everybody
+        for process in shares:
+            assert process.stdin is not None
+            process.stdin.write(b"idle\n")
         results = [Share(**json.loads(await said(process))) for process in shares]
         router_rss = [rss_mb(relay.pid) for relay in relays]
     return outcome(team, results, router_rss)
@@ -250,7 +255,9 @@ async def be_sessions(task: Task) -> None:
         async with asyncio.timeout(PATIENCE_S):
             await asyncio.gather(*[member.meet() for member in members])
     cpu_s, traffic = time.process_time() - cpu, tcp_bytes()
-    cpu = time.process_time()
+    print("known", flush=True)
+    await asyncio.to_thread(sys.stdin.readline)  # others may still be asking
+    cpu, idle_traffic = time.process_time(), tcp_bytes()
     await asyncio.sleep(IDLE_S)
     share = Share(
         known_s=[member.known_at - start for member in members if member.known_at is not None],
@@ -259,7 +266,7 @@ async def be_sessions(task: Task) -> None:
         rss_before_mb=rss_before,
         rss_after_mb=rss_mb(),
         bytes_until_known=traffic,
-        idle_bytes_s=(tcp_bytes() - traffic) / IDLE_S,
+        idle_bytes_s=(tcp_bytes() - idle_traffic) / IDLE_S,
         cpu_s=cpu_s,
         idle_cpu_percent=100.0 * (time.process_time() - cpu) / IDLE_S,
     )

@@ -1,7 +1,8 @@
-"""How a program ends whose reader has left, or that has left a call to Zenoh behind."""
+"""How a program prints and ends, whatever its stdout is, though its reader has left or a call to Zenoh hangs."""
 
 from __future__ import annotations
 
+import io
 import os
 import sys
 import threading
@@ -18,9 +19,16 @@ def end_at_once_if_stuck(code: int) -> None:
     bear that and aborts the process.
     """
     if any(thread.name.startswith(ZENOH_THREADS) for thread in threading.enumerate()):
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
         os._exit(code)
+
+
+def print_in_any_encoding() -> None:
+    """Have what stdout's encoding lacks ("±" in ASCII, half a character in any) printed as "?" instead of an error."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace" if stream is sys.stdout else "backslashreplace")
 
 
 @contextmanager
@@ -30,6 +38,7 @@ def reader_may_leave() -> Iterator[None]:
         try:
             yield
         finally:
-            sys.stdout.flush()  # what is left is written as the interpreter ends, where nobody catches anything
+            if sys.stdout is not None:  # it was closed before we began
+                sys.stdout.flush()  # what is left is written as the interpreter ends, where nobody catches anything
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import logging
+import sys
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -10,6 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from support.simulated_agent import SimulatedFlight
+from swarmtrack.agents import main as swarmtrack
+from swarmtrack.agents import vehicle as agent
 from swarmtrack.autopilot.notices import LONGEST_STATUSTEXT_BYTES, Severity, status_text
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.log_lines import PlainFormatter
@@ -102,3 +107,35 @@ def test_health_is_sent_each_second_whatever_the_camera_says(tmp_path, words):
     camera = next(link for link in said[-1].links if link.name == "camera")
     assert camera.text.startswith(plain(words, 30).rstrip("…"))
     assert said[-1].events == (plain(words, LONGEST_LINE),)
+
+
+# --- what is printed ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "koi8-r", "utf-8", "utf-16", "cp037"])
+def test_no_encoding_of_stdout_ends_a_program_with_a_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str
+) -> None:
+    """`±` and `…` are not in all of them, and half of a character, as file names may hold it, is in none."""
+    config = tmp_path / "drone-\udcff-ж.toml"
+    config.write_text(
+        '[drone]\nid = 1\nstart = { position_m = [0.0, 0.0, 0.0], yaw_deg = 0.0 }\n[camera]\nsource = "v4l2:///dev/video7"\n'
+        "intrinsics = { fx = 400.0, fy = 400.0, cx = 320.0, cy = 240.0, width = 640, height = 480 }\n"
+    )
+    for program, words in (
+        (swarmtrack.main, ["config", "check", str(config)]),
+        (swarmtrack.main, ["config", "reference"]),
+        (agent.main, ["--config", str(config), "--check"]),
+    ):
+        stdout = io.TextIOWrapper(io.BytesIO(), encoding=encoding, errors="strict")
+        monkeypatch.setattr(sys, "stdout", stdout)
+        assert program(words) == 0
+        stdout.flush()
+        assert len(stdout.buffer.getvalue()) > 100
+
+
+def test_a_program_whose_stdout_is_closed_says_nothing_and_does_its_work(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(sys, "stdout", None)
+    assert swarmtrack.main(["config", "schema"]) == 0

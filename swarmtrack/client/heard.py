@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 from typing import TypeVar
 
 from swarmtrack.client.axes import Axes
+from swarmtrack.client.freshness import Mark, MessageOrder
 from swarmtrack.client.sight import DroneCamera, DroneHealth, Sight, camera_of, sight_of
-from swarmtrack.messages import PeerDeparted
+from swarmtrack.clock import Clock, SystemClock
+from swarmtrack.messages import PeerArrived, PeerDeparted
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.membership import Membership
@@ -27,14 +30,17 @@ CLASH_S = 2.5
 
 class HeardTeam:
     """Takes samples; returns what they contain. Messages of a drone that is not alive do not count, and are
-    counted.
+    counted. One that is repeated, out of order or of another time is marked, and counted. clock: ours, by which samples
+    are stamped.
     """
 
-    def __init__(self, team: str, axes: Axes) -> None:
+    def __init__(self, team: str, axes: Axes, clock: Clock | None = None) -> None:
         self._team = team
         self._axes = axes
         self._membership = Membership(NO_DRONE_ID, "", CLASH_S)
         self._cameras: dict[tuple[int, str], DroneCamera] = {}
+        self._clock = clock or SystemClock()
+        self._freshness: dict[tuple[int, Kind], MessageOrder] = {}
         self._counters: Counter[str] = Counter()
 
     @property
@@ -77,6 +83,8 @@ class HeardTeam:
         for event in events:
             if isinstance(event, PeerDeparted):
                 self._cameras.pop((drone_id, event.boot), None)
+            if isinstance(event, PeerArrived):
+                self._forget_order(drone_id)
 
     def on_camera(self, sample: Sample) -> None:
         drone_id, message = self._read(CameraMessage, Kind.CAMERA, sample)
@@ -94,11 +102,30 @@ class HeardTeam:
         drone_id, message = self._read(TracksMessage, Kind.TRACKS, sample)
         if message is None:
             return None
-        return sight_of(drone_id, message, self.camera(drone_id), sample.arrived, self._axes)
+        marks = self._marks(drone_id, Kind.TRACKS, message.sequence, message.t_utc_s, sample.arrived)
+        sight = sight_of(drone_id, message, self.camera(drone_id), sample.arrived, self._axes)
+        return replace(sight, marks=marks) if marks else sight
 
     def on_health(self, sample: Sample) -> DroneHealth | None:
         drone_id, message = self._read(HealthMessage, Kind.HEALTH, sample)
-        return None if message is None else DroneHealth(drone_id, message)
+        if message is None:
+            return None
+        marks = self._marks(drone_id, Kind.HEALTH, message.uptime_s, message.t_utc_s, sample.arrived)
+        return DroneHealth(drone_id, message, marks)
+
+    def _marks(
+        self, drone_id: int, kind: Kind, order: float, t_utc_s: float, arrived: float
+    ) -> frozenset[Mark]:
+        """Why a message is no news, counted."""
+        freshness = self._freshness.setdefault((drone_id, kind), MessageOrder())
+        marks = freshness.marks(order, t_utc_s, arrived + self._clock.utc() - self._clock.now())
+        self._counters.update(f"{kind}_{mark.replace(' ', '_')}" for mark in marks)
+        return marks
+
+    def _forget_order(self, drone_id: int) -> None:
+        for kind in (Kind.TRACKS, Kind.HEALTH):
+            if (drone_id, kind) in self._freshness:
+                self._freshness[drone_id, kind].restart()
 
     def _read(self, message: type[M], kind: Kind, sample: Sample) -> tuple[int, M | None]:
         """Whose it is, by its key; and what it says, if it counts."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from swarmtrack.client.axes import Axes
+from swarmtrack.client.freshness import Mark
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, Identity, TrackStatus
@@ -97,7 +98,8 @@ class Sight:
     """All tracks of one drone at one instant.
 
     t_utc_s [s]: the instant, on the drone's wall clock, with uncertainty t_sigma_s. arrived [s]: time of reception, on
-    our monotonic clock. scan_age_s: age of the last image. sequence: a jump by more than one is a lost message.
+    our monotonic clock. scan_age_s: age of the last image. sequence: a jump by more than one is a lost message. marks:
+    why it is no news (`freshness.Mark`); empty where it is.
     """
 
     drone_id: int
@@ -108,6 +110,12 @@ class Sight:
     sequence: int
     axes: Axes
     targets: tuple[Target, ...]
+    marks: frozenset[Mark] = frozenset()
+
+    @property
+    def is_news(self) -> bool:
+        """Whether it is neither repeated, nor out of order, nor of another time."""
+        return not self.marks
 
     def of(self, drone_id: int) -> Target | None:
         """The track with this teammate's name; of several, the most probable."""
@@ -124,10 +132,16 @@ class Sight:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DroneHealth:
-    """Health of an agent. message: all of it, fields as in docs/wire.md."""
+    """Health of an agent. message: all of it, fields as in docs/wire.md. marks: as in `Sight`."""
 
     drone_id: int
     message: HealthMessage
+    marks: frozenset[Mark] = frozenset()
+
+    @property
+    def is_news(self) -> bool:
+        """Whether it is neither repeated, nor out of order, nor of another time."""
+        return not self.marks
 
     @property
     def ready(self) -> bool:

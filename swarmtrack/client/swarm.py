@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Sequence
 from pathlib import Path
@@ -22,7 +23,10 @@ from swarmtrack.transport.zenoh_listener import ZenohListener
 
 T = TypeVar("T")
 
-CLIENT_ASK_PERIOD_S: Final = 0.5  # s between two questions for a camera that is missing
+CLIENT_ASK_PERIOD_S: Final = (
+    0.5  # s until a camera that is missing is asked for, then twice as long, and so on,
+)
+CLIENT_ASK_BACK_OFFS: Final = 7  # so many times: each minute at last
 CLIENT_MESSAGES_KEPT: Final = (
     64  # messages that wait for a reader who is busy: more than a second of one drone's tracks
 )
@@ -64,8 +68,9 @@ class Swarm:
             keys=None if keys is None else Path(keys),
             insecure=insecure,
         )
-        self._heard = HeardTeam(self._network.team, Axes(axes))
-        self._listener = ZenohListener(self._network, _expressions(self._network.team), SystemClock())
+        clock = SystemClock()
+        self._heard = HeardTeam(self._network.team, Axes(axes), clock)
+        self._listener = ZenohListener(self._network, _expressions(self._network.team), clock)
         self._sights = _Outlets[Sight]()
         self._healths = _Outlets[DroneHealth]()
         self._tasks: list[asyncio.Task[None]] = []
@@ -169,11 +174,18 @@ class Swarm:
                 self._healths.put(address.drone_id, self._heard.on_health(sample))
 
     async def _ask_for_cameras(self) -> None:
-        """A question may overtake the links, and what was put before them is lost."""
-        while True:
+        """A question may overtake the links, and what was put before them is lost. One that does not answer is asked
+        ever more rarely.
+        """
+        asked: Counter[int] = Counter()
+        for turn in itertools.count(1):
             await asyncio.sleep(CLIENT_ASK_PERIOD_S)
-            for drone_id in self._heard.without_camera:
-                self._listener.request(Kind.CAMERA, drone_id)
+            without = self._heard.without_camera
+            asked = Counter({drone_id: asked[drone_id] for drone_id in without})
+            for drone_id in without:
+                if turn % 2 ** min(asked[drone_id], CLIENT_ASK_BACK_OFFS) == 0:
+                    asked[drone_id] += 1
+                    self._listener.request(Kind.CAMERA, drone_id)
 
     async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
         """Why nothing is heard, as far as one can tell."""

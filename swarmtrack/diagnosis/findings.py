@@ -467,6 +467,9 @@ FAULTS: dict[str, Fault] = {
     "network.closed": Fault(
         F, "{reason}", "stop the other agent or choose another port in [network]; docs/security.md"
     ),
+    "network.wrong_address": Fault(
+        F, "{reason}", "correct that entry in the file of every drone, then run swarmtrack config check"
+    ),
     "network.router": Fault(
         F, "{reason}", "start `swarmtrack router` there; check network.routers and firewalls (UDP with keys, else TCP)"
     ),

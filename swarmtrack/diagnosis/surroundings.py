@@ -46,7 +46,8 @@ class DetectorFacts:
 
 @dataclass(frozen=True, slots=True)
 class NetworkFacts:
-    """refused: why the network does not open; keys_refused: why the keys do not; both empty where they do.
+    """refused: why the network does not open; wrong_address: which entry can never link the team; keys_refused: why the
+    keys do not open; each empty where all is well.
 
     alive: boots by ID; apart_s: our clock minus each teammate's; missing, strangers: names; absent_hosts: addresses to
     listen on that are not this machine's; multicast: (interface, what is wrong with it); expires_days: of the
@@ -56,6 +57,7 @@ class NetworkFacts:
     drone_id: int
     team: str
     refused: str = ""
+    wrong_address: str = ""
     keys_refused: str = ""
     in_process: bool = False
     alive: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
@@ -116,6 +118,8 @@ def check_network(facts: NetworkFacts) -> list[Finding]:
     if facts.multicast and facts.multicast[1]:
         interface, reason = facts.multicast
         findings.append(fault("network.multicast", interface=interface, reason=reason))
+    if facts.wrong_address:
+        return [*findings, fault("network.wrong_address", reason=facts.wrong_address)]
     findings += [fault("network.address", host=host) for host in facts.absent_hosts]
     if facts.refused:
         name = "network.router" if "no router answers" in facts.refused else "network.closed"

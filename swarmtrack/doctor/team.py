@@ -7,14 +7,12 @@ import contextlib
 import errno
 from collections import defaultdict
 from dataclasses import replace
-from datetime import UTC, datetime
-from pathlib import Path
 
 from swarmtrack.clock import Clock
 from swarmtrack.config.drone import DroneConfig
 from swarmtrack.diagnosis.surroundings import NetworkFacts
-from swarmtrack.errors import KeysError, SwarmtrackError, TransportError
-from swarmtrack.runtime.assembly import credentials_of
+from swarmtrack.errors import TransportError
+from swarmtrack.runtime.network_facts import network_facts
 from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, topology
@@ -28,30 +26,14 @@ from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.health import HealthMessage
 
-INTERFACES = Path("/sys/class/net")
-IFF_UP, IFF_LOOPBACK, IFF_MULTICAST = 0x1, 0x8, 0x1000
 CLOCKS_AGREE = 2.0  # s
 
 
 async def ask(config: DroneConfig, clock: Clock, seconds: float) -> NetworkFacts:
     """Agents that answer within `seconds`, with their health."""
-    facts = NetworkFacts(config.drone.id, config.network.team)
-    if config.is_alone:
-        return replace(facts, in_process=True)
-    try:
-        credentials = credentials_of(config, clock)
-    except SwarmtrackError as error:
-        text = str(error.__cause__ if isinstance(error.__cause__, KeysError) else error)
-        return replace(facts, keys_refused=text)
-    if credentials is not None:
-        left = credentials.expires.timestamp() - clock.utc()
-        facts = replace(
-            facts,
-            expires_days=left / 86400.0,
-            expires=datetime.fromtimestamp(credentials.expires.timestamp(), UTC).strftime("%Y-%m-%d %H:%M"),
-        )
-    if config.network.multicast:
-        facts = replace(facts, multicast=_multicast(config.network.interface))
+    facts, credentials = network_facts(config, clock)
+    if facts.in_process or facts.keys_refused or facts.wrong_address:
+        return facts
     try:
         return await _listen(config, credentials, clock, seconds, facts)
     except TransportError as error:
@@ -141,19 +123,3 @@ async def _own_addresses(endpoints: tuple[str, ...]) -> tuple[tuple[str, ...], s
 
 def _id_of(name: str) -> int | None:
     return names.drone_id(name) if names.role(name) == names.Role.DRONE else None
-
-
-def _multicast(interface: str, folder: Path = INTERFACES) -> tuple[str, str]:
-    """(interface, what is wrong with it or nothing)."""
-    flags = {}
-    for entry in folder.glob("*"):
-        with contextlib.suppress(OSError, ValueError):
-            flags[entry.name] = int((entry / "flags").read_text(encoding="ascii"), 16)
-    if interface == "auto":
-        usable = [n for n, f in flags.items() if f & IFF_UP and f & IFF_MULTICAST and not f & IFF_LOOPBACK]
-        return ("auto", "" if usable else "no interface but loopback is up")
-    if interface not in flags:
-        return interface, f"no such interface, only {', '.join(sorted(flags)) or 'none'}"
-    if not flags[interface] & IFF_UP:
-        return interface, "it is down"
-    return interface, "" if flags[interface] & IFF_MULTICAST else "it carries no multicast"

@@ -39,6 +39,7 @@ from swarmtrack.sources import (
     SimulatedSources,
 )
 from swarmtrack.transport import topology
+from swarmtrack.transport.addresses import check_addresses
 from swarmtrack.transport.base import Transport
 from swarmtrack.transport.keys import new_boot
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
@@ -294,6 +295,7 @@ def _transport(
     if network.transport == "memory":
         return MemoryTransport(hub, network.team, drone_id, boot, clock), None
     credentials = credentials_of(config, clock)
+    check_addresses(network, secured=credentials is not None, drone_id=drone_id)
     settings = topology.of_drone(network, drone_id, credentials)
     if credentials is None:
         return ZenohTransport(settings, drone_id, boot, clock, cameras=cameras), None

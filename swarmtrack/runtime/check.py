@@ -15,11 +15,16 @@ from swarmtrack.config.formation import fields_of_view
 from swarmtrack.diagnosis.findings import Finding, Level, fault
 from swarmtrack.diagnosis.mounting import MountFacts, check_calibration
 from swarmtrack.diagnosis.sources import check_door
+from swarmtrack.diagnosis.surroundings import check_network
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan, HalfView
 from swarmtrack.outputs.destinations import check_outputs
 from swarmtrack.outputs.formation_drawing import as_svg, as_text
 from swarmtrack.runtime.assembly import Parts, assemble
+from swarmtrack.runtime.network_facts import network_facts
+from swarmtrack.security.credentials import Credentials
+from swarmtrack.transport import topology
+from swarmtrack.transport.settings import parse_endpoint
 
 # What --check says of `autopilot.tell` beyond the harmless (docs/telling.md).
 DANGERS = {
@@ -55,6 +60,8 @@ def check(path: Path) -> None:
         "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
     )
     print(f"detector   {detector}")
+    facts, credentials = network_facts(config, SystemClock())
+    print(f"network    {_network(config, credentials)}")
     print(f"tracker    {config.tracker.name}")
     if config.team.drones:
         print(f"teammates  {_filed(config)}")
@@ -73,6 +80,7 @@ def check(path: Path) -> None:
     findings += check_door(link, signed=config.autopilot.signing_key is not None)
     if start.has_unknown_sigma:
         findings.append(fault("pose.unmeasured", sigma_m=start.position_sigma_m))
+    findings += [each for each in check_network(facts) if each.level is not Level.OK]
     for finding in findings:
         print(f"warning: {finding.found}: {finding.remedy}")
     for word in config.autopilot.tell:
@@ -131,6 +139,30 @@ def _role(plan: FormationPlan, drone_id: int) -> str:
         return f"leads drones {', '.join(map(str, plan.followers))}: flown by its pilot, never by its agent"
     references = " and ".join(map(str, plan.references[drone_id]))
     return f"follows drone {plan.leader}, finds its slot by drone {references}"
+
+
+def _network(config: DroneConfig, credentials: Credentials | None) -> str:
+    """Where the agent listens and what it dials."""
+    if config.network.transport == "memory":
+        return "none: what is sent stays in this process"
+    settings = topology.of_drone(config.network, config.drone.id, credentials)
+    if settings.rendezvous:
+        return "this machine only"
+    said = [f"{settings.mode}, {'without' if credentials is None else 'with'} keys"]
+    if settings.listen:
+        said.append(f"listens on {', '.join(map(_own, dict.fromkeys(map(_shown, settings.listen))))}")
+    if settings.connect:
+        said.append(f"dials {', '.join(dict.fromkeys(map(_shown, settings.connect)))}")
+    return "; ".join(said)
+
+
+def _shown(endpoint: str) -> str:
+    """Host of an endpoint; the rest is as in the config."""
+    return parse_endpoint(endpoint, "network").host
+
+
+def _own(host: str) -> str:
+    return host if topology.is_here(host) else f"{host} (not an address of this machine now)"
 
 
 def _filed(config: DroneConfig) -> str:

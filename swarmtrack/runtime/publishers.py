@@ -81,7 +81,8 @@ class TracksPublisher:
         tracks = self._door.tracks(now)
         message = tracks_message(tracks, self._sequence + 1, self._clock.utc() - now, UTC_SIGMA)
         try:
-            if self._transport.publish(Kind.TRACKS, codec.encode(message)):
+            payload = codec.encode(message, short=self._transport.is_narrow)
+            if self._transport.publish(Kind.TRACKS, payload):
                 self._sequence += 1
                 self._health.published.tick()
         except ValueError:  # what no reader would accept is not sent, and must not end the flight

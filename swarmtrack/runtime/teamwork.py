@@ -47,7 +47,7 @@ from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.camera import camera_message
 from swarmtrack.wire.motion import motion_message
-from swarmtrack.wire.sightings import sightings_message
+from swarmtrack.wire.sightings import report_from_nowhere, sightings_message
 
 log = logging.getLogger(__name__)
 
@@ -196,8 +196,9 @@ class Teamwork:
     def _report(self) -> None:
         now = self._clock.now()
         report = self._perceived.sighting_report(self._boot, self._reports + 1)
+        knows_where = report is not None
         if report is None:
-            return
+            report = report_from_nowhere(self._drone_id, self._boot, self._reports + 1, now)
         whom = (report.known, frozenset(sighting.drone_id for sighting in report.sightings))
         if whom == self._reported and now - self._reported_at < periods.IDENTITIES:
             return
@@ -209,7 +210,7 @@ class Teamwork:
             self._health.drops["unsendable_identities"] += 1
             return
         self._transport.publish(Kind.IDENTITIES, payload)
-        if self._on_report is not None:
+        if self._on_report is not None and knows_where:
             self._on_report(report)
 
     async def share(self) -> None:

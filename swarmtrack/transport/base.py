@@ -71,6 +71,11 @@ class Transport(Protocol):
         """Whether there is a subscriber to what we publish of this kind; cheap. camera: as in `publish`."""
         ...
 
+    @property
+    def is_narrow(self) -> bool:
+        """Whether tracks had better be encoded in their short form, because not all of them can be sent."""
+        ...
+
     def events(self) -> AsyncIterator[PeerEvent]:
         """Announcements, reports, arrivals and departures of teammates, in order. Ends when closed.
 

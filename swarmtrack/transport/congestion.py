@@ -2,9 +2,9 @@
 
 Keep-alives go over TCP or TLS in every mesh, several times in each lease, so the kernel measures the round trip all
 the time. Where it is much longer than the shortest one of the last minutes, packets wait somewhere: most likely in the
-radio. The kernel reports a running mean; two means give the sample between them. A lost answer looks late as well, so
-the shortest of the last few counts, and of the links at one address of ours the median: they have the same radio.
-Bytes that TCP itself could not send yet are reported too.
+radio. The kernel reports a running mean; two means give the sample between them. In a full radio every packet waits. A
+lost answer looks late as well, but not every one, so the shortest of the last few counts, and of the links at one
+address of ours the shortest: they have the same radio. Bytes that TCP itself could not send yet are reported too.
 
 A link that is QUIC alone (to routers) gives no statistics, and neither does a system other than Linux.
 """
@@ -12,13 +12,19 @@ A link that is QUIC alone (to routers) gives no statistics, and neither does a s
 from __future__ import annotations
 
 import socket
-import statistics
 import struct
 from collections import deque
 from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
-from swarmtrack.transport.limits import CONGESTION_SAMPLES, ROUND_TRIP_MEAN_WEIGHT, SIGN_OF_LIFE_S
+from swarmtrack.transport.limits import (
+    CONGESTION_SAMPLES,
+    PACKETS_LATE_S,
+    PACKETS_LATE_SHARE,
+    PACKETS_UNSENT_BYTES,
+    ROUND_TRIP_MEAN_WEIGHT,
+    SIGN_OF_LIFE_S,
+)
 from swarmtrack.transport.own_sockets import own_streams
 
 # In `struct tcp_info`: packets without an answer; ms since the last answer; the mean of round trips, us; bytes not sent
@@ -39,12 +45,25 @@ class Sent(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """Queues. delay_s: median excess of the round trip over the shortest, at the worst address. unsent: bytes, on
-    the worst link.
+    """Queues. delay_s: excess of the round trip over the shortest, on the link of the worst address where it is least;
+    round_trip_s: the shortest there. unsent: bytes, on the worst link.
     """
 
     delay_s: float
     unsent: int
+    round_trip_s: float = 0.0
+
+    @property
+    def is_late(self) -> bool:
+        """Whether packets wait for longer than usual."""
+        usual = max(PACKETS_LATE_S, PACKETS_LATE_SHARE * self.round_trip_s)
+        return self.delay_s > usual or self.unsent > PACKETS_UNSENT_BYTES
+
+    def is_shorter(self, other: Waiting, share: float) -> bool:
+        """Whether packets wait for less than this share of another time, in all that was too much then."""
+        delay = other.delay_s <= PACKETS_LATE_S or self.delay_s < share * other.delay_s
+        unsent = other.unsent <= PACKETS_UNSENT_BYTES or self.unsent < share * other.unsent
+        return delay and unsent
 
 
 class Congestion:
@@ -67,15 +86,12 @@ class Congestion:
                 )
                 delays.append(max(0.0, last - sent.min_rtt_s))
             self._means[name] = sent.rtt_s
-        late: dict[str, list[float]] = {}
+        late: dict[str, list[tuple[float, float]]] = {}
         for name, sent in links.items():
-            late.setdefault(sent.own, []).append(
-                max(min(self._delays[name]), sent.unanswered_s - SIGN_OF_LIFE_S)
-            )
-        return Waiting(
-            max(map(statistics.median_low, late.values()), default=0.0),
-            max((sent.unsent for sent in links.values()), default=0),
-        )
+            delay = max(min(self._delays[name]), sent.unanswered_s - SIGN_OF_LIFE_S)
+            late.setdefault(sent.own, []).append((delay, sent.min_rtt_s))
+        delay_s, round_trip_s = max(map(min, late.values()), default=(0.0, 0.0))
+        return Waiting(delay_s, max((sent.unsent for sent in links.values()), default=0), round_trip_s)
 
 
 def look_at_links(ends: Collection[str]) -> dict[str, Sent]:

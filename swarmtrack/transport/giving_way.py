@@ -81,6 +81,11 @@ class RateLimiter:
             return ""
         return f"; the radio is full, tracks give way: {self._pacing.bytes_s / 125.0:.0f} kbit/s"
 
+    @property
+    def is_limited(self) -> bool:
+        """Whether messages had better be short."""
+        return bool(self._listened) and self._listeners > 0 and self._pacing.is_limited
+
     async def run(self, session: zenoh.Session, teammates: Callable[[], int]) -> None:
         """Run until cancelled. teammates: number of live ones."""
         while True:

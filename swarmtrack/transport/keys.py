@@ -22,8 +22,11 @@ from swarmtrack.wire.video import VideoMessage
 
 ROOT = "swarmtrack"
 KEY_VERSION = "v1"
-ANEW = "anew"  # as a parameter of a question for a pose: announce yourself anew
-NOTHING_YET = b"nothing announced yet"  # the answer of who has no pose to tell: it hears the question
+# Parameters of a query for a pose: announce yourself anew; a put will do, the one that asks is subscribed; it wants to
+# know whether you are there, not where.
+ANEW, SUBSCRIBED_TOO, LIFE = "anew", "subscribed", "life"
+# Answers without a pose: nothing announced yet; I am here.
+NOTHING_YET, IS_HERE = b"nothing announced yet", b"here"
 
 ENCODINGS: dict[Kind, str] = {
     Kind.POSE: "application/msgpack;swarmtrack.Announcement/1",

@@ -12,11 +12,15 @@ OLD_BOOT_ON_ITS_WAY_S = 0.5
 
 # Announcements (`peers`, `outgoing`): from a newcomer's token to the first question; what it says of itself may be on
 # its way.
-NEWCOMER_GRACE_S = 0.05
-# Between two questions to a teammate whose announcement is missing.
-ANNOUNCEMENT_QUESTION_PERIOD_S = 0.5
-# Between two requests to announce again, at both ends.
+NEWCOMER_GRACE_S = 0.15
+# From an answer that it was just put until it is asked for again.
+PUT_ON_ITS_WAY_S: Final = 0.3
+# Between two requests to announce again, at both ends; the next comes after twice the time until one is fulfilled, and
+# so on, so many times.
 ANNOUNCEMENT_REQUEST_PERIOD_S: Final = 1.0
+REQUEST_BACK_OFFS: Final = 6
+# Questions of subscribers that come within so long get one put together; twice as long while they go on.
+ANSWERS_TOGETHER_S, MAX_ANSWERS_TOGETHER_S = 0.05, 0.8
 # For which the same bytes are told again: a flood of questions costs no encoding.
 ANSWER_FRESH_S: Final = 0.05
 # More than a hundred newcomers ask at once; whoever is refused asks again.
@@ -31,13 +35,17 @@ CLASH_MARGIN_S: Final = 0.5
 # That two boots of one ID may live beside each other in memory. Nothing there takes time, but a restart in two steps.
 MEMORY_CLASH_S = 0.1
 
-# Silence (`silence`, `zenoh_transport`): between two of a teammate's reports; and without a word, until it is asked.
+# Silence (`silence`, `zenoh_transport`): between two of a teammate's reports; and without a word, until it is asked. It
+# is asked again after twice the time, and so on, so many times: after 77 s at most.
 REPORT_PERIOD_S: Final = 1.0
 ASK_AFTER_SILENCE_S: Final = 1.2 * REPORT_PERIOD_S
-# Leases without a word, until links are made again; and how many times longer before it is done again.
+QUESTION_BACK_OFFS: Final = 6
+# Between two questions to those that owe no word: a hundred drones that do not report cost less than their keep-alives.
+QUESTION_REST_S: Final = 9.6
+# Leases without a word, until something is done; and the first period in which it is not done again for that teammate.
 REOPEN_LEASES: Final = 2.0
-REOPEN_BACK_OFF: Final = 4.0
-# Between two times that all links are made again; a start with two fifths lost takes ten.
+REMEDY_PERIOD_S: Final = 600.0
+# Between two times that all links are made again, for different teammates; a start with two fifths lost takes ten.
 REOPEN_REST_S: Final = 15.0
 # Between two checks of who says nothing.
 SILENCE_CHECK_PERIOD_S: Final = 0.5
@@ -54,7 +62,7 @@ CLOCK_DIFFERENCES_KEPT: Final = 16
 CLOCK_STEP_S: Final = 5.0
 
 # Congestion (`congestion`): round trips that are kept of a link.
-CONGESTION_SAMPLES: Final = 3
+CONGESTION_SAMPLES: Final = 2
 # Without an answer to what was sent, while it could be that nothing was sent.
 SIGN_OF_LIFE_S: Final = 0.5
 # The mean round trip moves by an eighth of what a new sample is off.
@@ -62,15 +70,33 @@ ROUND_TRIP_MEAN_WEIGHT: Final = 8
 
 # Pacing (`pacing`, `giving_way`): packets wait so long, far beyond what a radio that sleeps between beacons adds.
 PACKETS_LATE_S: Final = 0.25
+# And this share of the shortest round trip: a long way varies more.
+PACKETS_LATE_SHARE: Final = 0.5
 # That TCP could not send yet: a quarter of a second of 64 kbit/s.
 PACKETS_UNSENT_BYTES: Final = 2048
-# Between two cuts: until the first is felt.
+# Between two cuts: until the first is felt. And what is left of the rate.
 PACE_CUT_HOLD_S: Final = 0.6
-PACE_FIRST_BYTES_PER_S: Final = 2000.0
-PACE_LEAST_BYTES_PER_S: Final = 1000.0
+PACE_CUT: Final = 0.7
+# Tracks messages per second to each listener that nobody is denied, and those of the few seconds of a trial.
+PACE_LEAST_HZ, PACE_TRIAL_HZ = 5.0, 2.0
+# The least rate before the first message.
+PACE_LEAST_BYTES_PER_S: Final = 2000.0
+# A trial takes so long, at least and at most, until packets wait for less than these shares of the time before: over,
+# or shorter.
+PACE_TRIAL_LEAST_S, PACE_TRIAL_S = 2.0, 4.0
+PACE_TRIAL_OVER, PACE_TRIAL_SHORTER = 0.5, 0.8
+# What no packet waits for but in a queue; and times the least, what is low.
+PACE_DEEP_QUEUE_S, PACE_LOW = 1.0, 1.5
+# After a trial that shortened nothing, until the next; twice as long after each further one, so many times.
+PACE_TRIAL_REST_S: Final = 15.0
+PACE_TRIAL_BACK_OFFS: Final = 4
+# Unless packets wait so many times longer than in that trial.
+PACE_WORSE: Final = 2.0
+# Looks of which the median counts in a trial: two seconds.
+PACE_USUAL_LOOKS: Final = 10
 # Growth in a second: before packets waited, and after.
-PACE_QUICK_GROWTH, PACE_CAREFUL_GROWTH = 8.0, 1.2
-PACE_BURST_S: Final = 0.2
+PACE_QUICK_GROWTH, PACE_CAREFUL_GROWTH = 2.0, 1.2
+PACE_BURST_S: Final = 0.4
 # Times what is asked for: no limit then.
 PACE_UNLIMITED_FACTOR: Final = 2.0
 # Of each message below Zenoh: QUIC or TCP and TLS, IP, the radio's header.
@@ -80,7 +106,7 @@ PACE_CHECK_PERIOD_S: Final = 0.2
 # After which it is worth a line of the log again.
 PACE_LOG_QUIET_S: Final = 60.0
 
-# Links (`link_watch`, `knocking`, `tcp_options`, `ports`, `joining`): between two checks.
+# Links (`link_watch`, `knocking`, `tcp_options`, `ports`, `addresses`, `joining`): between two checks.
 LINK_CHECK_PERIOD_S: Final = 1.0
 # Checks after the start: whoever starts with us is there by then.
 LINK_START_CHECKS: Final = 10
@@ -92,9 +118,13 @@ LINK_NAMES_SHOWN: Final = 8
 KNOCK_PERIOD_S: Final = 1.0
 # A new link's first loss is not much older.
 TCP_OPTIONS_PERIOD_S: Final = 0.2
+# With the headers of TCP, IPv6 and a radio in frames of less than 1000 bytes.
+LONGEST_SEGMENT_BYTES: Final = 880
 # A predecessor that is ending holds its ports for a moment.
 PORT_TRIES: Final = 8
 PORT_TRY_PERIOD_S: Final = 0.25
+# For a name that is not in /etc/hosts, where the name server does not answer (`addresses`).
+LOOK_UP_S: Final = 2.0
 # Between two attempts.
 REJOIN_PERIOD_S: Final = 1.0
 
@@ -106,8 +136,9 @@ MAX_RADIOS, MAX_MEASURED_PER_RADIO = 4, 1024
 MAX_ZENOH_BYTES: Final = 1024 * 1024
 # Between two with keys (`links.Links.PAIR`).
 MAX_LINKS_PER_PAIR: Final = 2
-# In one lease. With 4, a link of idle datagrams was lost twice a minute where a fifth of all frames is.
-KEEP_ALIVES_PER_LEASE, DATAGRAM_KEEP_ALIVES_PER_LEASE = 4, 6
+# In one lease, of streams, which repeat what is lost, and where there are datagrams: with 4, an idle link of those was
+# lost twice a minute where a fifth of all frames is.
+KEEP_ALIVES_PER_LEASE, DATAGRAM_KEEP_ALIVES_PER_LEASE = 3, 6
 # What stalls in a handshake waits longer and longer, and is better begun again; one that loses two packets is not.
 HANDSHAKE_MS: Final = 4000
 # Then the next router is tried.

@@ -14,6 +14,7 @@ from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.security.names import Role
 from swarmtrack.transport import topology
+from swarmtrack.transport.addresses import check_addresses
 from swarmtrack.transport.limits import MOST_TEAMS_NAMED
 from swarmtrack.transport.settings import NetworkSettings
 
@@ -35,6 +36,7 @@ def network_of_listener(
     section, credentials = _section(
         Role.MONITOR, team=team, config=config, connect=connect, keys=keys, insecure=insecure
     )
+    check_addresses(section, secured=credentials is not None)
     return topology.of_monitor(section, credentials)
 
 

@@ -158,6 +158,8 @@ class MemoryTransport:
     def has_listener(self, kind: Kind, camera: int = 0) -> bool:
         return bool(self._hub.listeners)
 
+    is_narrow = False
+
     def events(self) -> AsyncIterator[PeerEvent]:
         return self._peers.events()
 

@@ -5,17 +5,26 @@ from __future__ import annotations
 import threading
 from collections import Counter
 from collections.abc import Callable
+from typing import Generic, TypeVar
 
 from swarmtrack.clock import Clock
 from swarmtrack.messages import Announcement
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
-from swarmtrack.transport.limits import ANNOUNCEMENT_REQUEST_PERIOD_S, ANSWER_FRESH_S, ANSWERS_PER_S
+from swarmtrack.transport.limits import (
+    ANNOUNCEMENT_REQUEST_PERIOD_S,
+    ANSWER_FRESH_S,
+    ANSWERS_PER_S,
+    ANSWERS_TOGETHER_S,
+    MAX_ANSWERS_TOGETHER_S,
+)
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import announcement_message, sign_announcement
 
 Sign = Callable[[bytes], bytes]
 """Bytes to an Ed25519 signature."""
+
+Q = TypeVar("Q")
 
 
 class _Budget:
@@ -32,6 +41,35 @@ class _Budget:
             self._since, self._answers = now, 0
         self._answers += 1
         return self._answers <= ANSWERS_PER_S
+
+
+class JointAnswers(Generic[Q]):
+    """Questions that wait for one answer: those that come within a moment of the first get the same put.
+
+    The moment is short, and twice as long each time that several had come, so in the rush of a start each drone puts
+    its announcement a few times instead of answering each question. Any thread may call.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._waiting: list[Q] = []
+        self._wait_s = ANSWERS_TOGETHER_S
+
+    def add(self, question: Q) -> float | None:
+        """Keep a question. Returns after how many seconds to `take` all, None where that is settled already."""
+        with self._lock:
+            self._waiting.append(question)
+            if len(self._waiting) > ANSWERS_PER_S:
+                del self._waiting[0]
+            return self._wait_s if len(self._waiting) == 1 else None
+
+    def take(self) -> list[Q]:
+        """All that wait."""
+        with self._lock:
+            taken, self._waiting = self._waiting, []
+            rush = len(taken) > 1
+            self._wait_s = min(2.0 * self._wait_s, MAX_ANSWERS_TOGETHER_S) if rush else ANSWERS_TOGETHER_S
+            return taken
 
 
 class Outgoing:

@@ -9,9 +9,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Collection, Iterable
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from swarmtrack.clock import Clock
 from swarmtrack.messages import AnnouncementRequested, PeerEvent, PeerExpelled
@@ -19,11 +20,14 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.limits import (
     ANNOUNCED_CLOCKS_AGREE_S,
-    ANNOUNCEMENT_QUESTION_PERIOD_S,
     ANNOUNCEMENT_REQUEST_PERIOD_S,
+    ASK_AFTER_SILENCE_S,
     MAX_WAITING_EVENTS,
     NEWCOMER_GRACE_S,
+    PUT_ON_ITS_WAY_S,
+    QUESTION_BACK_OFFS,
     REPORTED_CLOCKS_AGREE_S,
+    REQUEST_BACK_OFFS,
 )
 from swarmtrack.transport.membership import LiveBoot, Membership, Numbered
 from swarmtrack.transport.ranging_radios import RangingRadios
@@ -33,13 +37,34 @@ from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from,
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.motion import MotionMessage, motion_from
 from swarmtrack.wire.ranging import RangeMessage, range_from
-from swarmtrack.wire.sightings import SightingsMessage, report_from
+from swarmtrack.wire.sightings import SightingsMessage, is_from_nowhere, report_from
 
 R = TypeVar("R", SightingsMessage, MotionMessage)
 Verify = Callable[[int, bytes, bytes], bool]
 """Whether the drone of this ID signed these bytes with this signature."""
 
 log = logging.getLogger(__name__)
+
+
+class Remedies(NamedTuple):
+    """For the sake of which teammates all links are to be reopened, and those to which we are to declare ourselves
+    again.
+    """
+
+    reopen: list[int]
+    repeat: list[int]
+
+
+class _Request(NamedTuple):
+    """The last request to one teammate to announce again: t [s], and how many in a row were not fulfilled."""
+
+    t: float
+    times: int
+
+    @property
+    def period_s(self) -> float:
+        return ANNOUNCEMENT_REQUEST_PERIOD_S * 2.0 ** max(0, self.times - 1)
+
 
 SUBSCRIBED = {
     Kind.POSE: "announcements",
@@ -82,7 +107,10 @@ class Peers:
         self._events: deque[PeerEvent] = deque()
         self._news = asyncio.Event()
         self._newcomer = asyncio.Event()
-        self._requested_at: dict[int, float] = {}
+        self._requested: dict[int, _Request] = {}
+        self._announced = False
+        self._due: dict[int, float] = {}
+        """When to ask whom whose announcement is missing."""
         self._closed = False
         self._counters: Counter[str] = Counter()
 
@@ -91,13 +119,14 @@ class Peers:
         if (
             address is None
             or address.kind != Kind.ALIVE
-            or len(address.rest) != 1
+            or len(address.rest) not in (1, 2)
             or not keys.is_boot(address.rest[0])
         ):
             self._counters["tokens_malformed"] += 1
             return
         drone_id, boot = address.drone_id, address.rest[0]
         if alive:
+            self._silence.mark_heard(drone_id, asyncio.get_running_loop().time())
             self._tell(self._membership.arrived(drone_id, boot, asyncio.get_running_loop().time()))
         else:
             self._tell(self._membership.departed(drone_id, boot))
@@ -150,9 +179,9 @@ class Peers:
         now = asyncio.get_running_loop().time()
         return tuple(sorted(self._silence.silent(self._present(linked), now)))
 
-    def listen_for_silence(self, linked: Collection[int], ask: Callable[[int], None]) -> list[int]:
-        """Log silent teammates, query them, and return those for which all links are to be reopened. To be called
-        twice per second. linked: names whose links are up, by their certificates; ask: queries a drone.
+    def listen_for_silence(self, linked: Collection[int], ask: Callable[[int], None]) -> Remedies:
+        """Log silent teammates, query them, and return what is to be done for whom. To be called twice per second.
+        linked: names whose links are up, by their certificates; ask: queries whether a drone lives.
         """
         now = asyncio.get_running_loop().time()
         present = self._present(linked)
@@ -160,17 +189,31 @@ class Peers:
             log.warning("%s", line)
         for drone_id in self._silence.to_ask(present, now):
             ask(drone_id)
-        return self._silence.to_reopen(present, now)
+        return Remedies(self._silence.to_reopen(present, now), self._silence.to_repeat(present, now))
 
     def _present(self, linked: Collection[int]) -> set[int]:
         return {*self._membership.peers, *linked} - {self._drone_id}
 
-    def on_answer(self, drone_id: int) -> None:
+    def on_answer(self, drone_id: int, word: bytes = b"") -> None:
         """A teammate answered a query. A drone whose token is lost may answer too, and is not a teammate for that
-        reason.
+        reason. word: what it said instead of a pose.
         """
+        now = asyncio.get_running_loop().time()
         if drone_id in self._membership.peers:
-            self._silence.mark_heard(drone_id, asyncio.get_running_loop().time())
+            self._silence.mark_answered(drone_id, now)
+        if (
+            word == keys.IS_HERE and drone_id in self._due
+        ):  # it has just put what we ask for: is it on its way?
+            self._due[drone_id] = min(self._due[drone_id], now + PUT_ON_ITS_WAY_S)
+            self._newcomer.set()
+
+    def on_announced(self) -> None:
+        """We announced ourselves, so teammates should come to know us."""
+        self._announced = True
+
+    def _on_word(self, drone_id: int, *, report: bool = False) -> None:
+        """A live teammate sent a message without being asked."""
+        self._silence.mark_heard(drone_id, asyncio.get_running_loop().time(), report=report)
 
     def on_request(self) -> None:
         """Another process requests that we announce again."""
@@ -186,7 +229,9 @@ class Peers:
         )
         self._counters["clocks_off"] += abs(life.clock.apart_s) > ANNOUNCED_CLOCKS_AGREE_S
         life.announcement = announcement_from(message, t, t_sigma)
-        self.on_answer(drone_id)
+        if drone_id in self._requested:
+            self._requested[drone_id] = self._requested[drone_id]._replace(times=0)
+        self._on_word(drone_id)
         self._tell([life.announcement])
 
     def _on_report(
@@ -197,8 +242,13 @@ class Peers:
         if life is None:
             return
         life.reported[type(message)] = message.sequence
+        self._on_word(drone_id, report=True)
         if isinstance(message, SightingsMessage):
-            self.on_answer(drone_id)
+            if is_from_nowhere(message):
+                return
+            if self._announced:
+                now, known = asyncio.get_running_loop().time(), self._drone_id in message.known
+                self._silence.mark_known(drone_id, now, known=known)
         t, t_sigma = life.clock.time_of(
             message, arrived=arrived, utc_offset=self._utc_offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )
@@ -232,32 +282,36 @@ class Peers:
         return genuine
 
     def may_request(self, drone_id: int) -> bool:
-        """Whether to ask this teammate to announce again: if it is alive, and once per second; counted as asked."""
+        """Whether to ask this teammate to announce again: if it is alive, once per second, and ever more rarely while
+        it does not; counted as asked.
+        """
         now = self._clock.now()
-        self._requested_at = {
-            i: t for i, t in self._requested_at.items() if now - t < ANNOUNCEMENT_REQUEST_PERIOD_S
-        }
-        if drone_id in self._requested_at or drone_id not in self._membership.peers:
+        self._requested = {i: r for i, r in self._requested.items() if i in self._membership.peers}
+        last = self._requested.get(drone_id, _Request(-math.inf, 0))
+        if drone_id not in self._membership.peers or now - last.t < last.period_s:
             self._counters["requests_withheld"] += 1
             return False
-        self._requested_at[drone_id] = now
+        self._requested[drone_id] = _Request(now, min(last.times + 1, REQUEST_BACK_OFFS))
         self._counters["requests"] += 1
         return True
 
     async def ask_for_missing(self, ask: Callable[[int], None]) -> None:
-        """Run until cancelled: query a moment after each newcomer, then every `ANNOUNCEMENT_QUESTION_PERIOD_S` while
-        its announcement is missing. Also reports IDs whose apparent restart is a clash.
+        """Run until cancelled: query a moment after each newcomer, then after 1.2, 2.4, 4.8 s and so on while its
+        announcement is missing: one that has none yet will put it. Also reports IDs whose apparent restart is a clash.
         """
         loop = asyncio.get_running_loop()
-        due: dict[int, float] = {}
+        asked: Counter[int] = Counter()
         while True:
             now = loop.time()
-            due = {
-                drone_id: due.get(drone_id, now + NEWCOMER_GRACE_S) for drone_id in self._membership.missing
+            due = self._due = {
+                drone_id: self._due.get(drone_id, now + NEWCOMER_GRACE_S)
+                for drone_id in self._membership.missing
             }
+            asked = Counter({drone_id: n for drone_id, n in asked.items() if drone_id in due})
             for drone_id in [drone_id for drone_id, t in due.items() if t <= now]:
                 ask(drone_id)
-                due[drone_id] = now + ANNOUNCEMENT_QUESTION_PERIOD_S
+                due[drone_id] = now + ASK_AFTER_SILENCE_S * 2.0 ** min(asked[drone_id], QUESTION_BACK_OFFS)
+                asked[drone_id] += 1
             self._tell(self._membership.settle(now))
             self._newcomer.clear()
             settles_at = self._membership.settles_at

@@ -10,6 +10,10 @@ for a full network. Where two fifths of all packets are lost for other reasons, 
 With this option a stream of less than four packets on their way says it again every 0.2 s (or what the round trip
 asks for), six times over. More than that, or a round trip that grows because the radio is full, makes it wait as
 before. Those who dial us take it from the socket that listens.
+
+TCP_MAXSEG. A radio or a tunnel may swallow frames longer than it carries, without a word; a stream that has one
+to send then says nothing any more, for ever. What our sockets listen for is agreed with those who dial: segments that
+every way carries which carries QUIC, and most that do not.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ import socket
 import struct
 from typing import Final
 
-from swarmtrack.transport.limits import TCP_OPTIONS_PERIOD_S
+from swarmtrack.transport.limits import LONGEST_SEGMENT_BYTES, TCP_OPTIONS_PERIOD_S
 from swarmtrack.transport.own_sockets import own_streams
 
 _LINGER: Final = struct.Struct("ii")
@@ -43,6 +47,8 @@ def _set(stream: socket.socket) -> bool:
         lingers, _ = _LINGER.unpack(stream.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.size))
         if lingers:
             stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _LINGER.pack(0, 0))
+        if stream.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):  # which does not say whether it is set
+            stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_MAXSEG, LONGEST_SEGMENT_BYTES)
         backs_off = not stream.getsockopt(socket.IPPROTO_TCP, _THIN_LINEAR_TIMEOUTS)
         if backs_off:
             stream.setsockopt(socket.IPPROTO_TCP, _THIN_LINEAR_TIMEOUTS, 1)

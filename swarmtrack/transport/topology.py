@@ -106,17 +106,16 @@ def _own_router(routers: tuple[str, ...], listen: str | None) -> int:
         if listen not in routers:
             raise TransportError(f"network.routers: {listen} (--listen) is not among them, {one_of}")
         return routers.index(listen)
-    here = [i for i, address in enumerate(routers) if _is_here(address)]
+    here = [i for i, address in enumerate(routers) if is_here(host_of(address))]
     if len(here) != 1:
         found = "none" if not here else f"{len(here)} of them"
         raise TransportError(f"network.routers: {found} is an address of this machine, {one_of} as --listen")
     return here[0]
 
 
-def _is_here(address: str) -> bool:
-    """Whether an address is this machine's: only those can be bound."""
-    with contextlib.suppress(OSError):
-        host = host_of(address)
+def is_here(host: str) -> bool:
+    """Whether an address, or what a name means, is this machine's: only those can be bound."""
+    with contextlib.suppress(OSError, UnicodeError):
         family = socket.getaddrinfo(host, 0, type=socket.SOCK_DGRAM)[0][0]
         with socket.socket(family, socket.SOCK_DGRAM) as probe:
             probe.bind((host, 0))

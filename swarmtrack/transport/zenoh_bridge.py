@@ -57,17 +57,17 @@ class Bridge:
         """Callback for Zenoh's `declare_*`: runs in Zenoh's thread, without a further queue and thread."""
         return zenoh.handlers.Callback(self._on_sample, indirect=False)
 
-    def replies(self, on_answer: Callable[[], object] | None = None) -> Any:
-        """Callback for Zenoh's `get`. on_answer: called on the event loop for each answer, including an empty one.
+    def replies(self, on_answer: Callable[[bytes], object] | None = None) -> Any:
+        """Callback for Zenoh's `get`. on_answer: called on the event loop for each answer, with what it says instead of
+        a pose (`keys.IS_HERE`, `keys.NOTHING_YET`), or empty.
         A timeout arrives as a reply too, and is ignored.
         """
 
         def on_reply(reply: zenoh.Reply) -> None:
-            is_answer = reply.ok is not None or (
-                reply.err is not None and reply.err.payload.to_bytes() == keys.NOTHING_YET
-            )
+            word = b"" if reply.err is None else reply.err.payload.to_bytes()
+            is_answer = reply.ok is not None or word in (keys.NOTHING_YET, keys.IS_HERE)
             if on_answer is not None and is_answer:
-                self._schedule(self._loop.call_soon_threadsafe, on_answer)
+                self._schedule(self._loop.call_soon_threadsafe, on_answer, word)
             if reply.ok is not None:
                 self._on_sample(reply.ok)
 

@@ -85,17 +85,15 @@ def ask_for_announcement(
     team: str,
     drone_id: int,
     answers: Bridge,
-    *,
-    anew: bool = False,
-    on_answer: Callable[[], object] | None = None,
+    *words: str,
+    on_answer: Callable[[bytes], object] | None = None,
 ) -> None:
-    """`ask` for a pose. anew: have the drone publish its announcement again, in addition to the answer."""
-    key = keys.key(team, Kind.POSE, drone_id)
-    ask(session, f"{key}?{keys.ANEW}" if anew else key, answers, on_answer)
+    """`ask` for a pose. words: parameters of the query, see `keys`."""
+    ask(session, f"{keys.key(team, Kind.POSE, drone_id)}?{';'.join(words)}", answers, on_answer)
 
 
 def ask(
-    session: zenoh.Session, selector: str, answers: Bridge, on_answer: Callable[[], object] | None = None
+    session: zenoh.Session, selector: str, answers: Bridge, on_answer: Callable[[bytes], object] | None = None
 ) -> None:
     """Query every process with the drone's ID, including a clone. Returns at once."""
     with contextlib.suppress(zenoh.ZError):  # the session is closing

@@ -2,7 +2,8 @@
 
 An announcement is put once, served by a queryable, and queried by every process that sees a liveliness token without
 one: a put alone is lost where it overtakes the links, and a query alone where it overtakes the queryable's
-declaration. Tokens converge by themselves, so they drive the rest.
+declaration. Tokens converge by themselves, so they drive the rest. Where many ask at once, as in a start, they get one
+put (`outgoing.JointAnswers`).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
+import math
 from collections import Counter
 from collections.abc import AsyncIterator
 from dataclasses import replace
@@ -32,12 +34,13 @@ from swarmtrack.transport.limits import (
     CLASH_MARGIN_S,
     MAX_BOOTS_PER_ID,
     MAX_LIVELINESS_TOKENS,
+    NEWCOMER_GRACE_S,
     SESSION_OPEN_S,
     SESSION_PUT_S,
     SILENCE_CHECK_PERIOD_S,
 )
 from swarmtrack.transport.link_watch import LinksUp, LinkWatch, links_up
-from swarmtrack.transport.outgoing import Outgoing, Sign
+from swarmtrack.transport.outgoing import JointAnswers, Outgoing, Sign
 from swarmtrack.transport.peers import Peers, Verify, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.tcp_options import keep_options
@@ -96,6 +99,10 @@ class ZenohTransport:
         self._giving_way = RateLimiter(network, clock)
         self._renewed = False
         self._declared: list[Any] = []
+        self._tokens_declared = 0
+        self._put_at = -math.inf
+        self._together = JointAnswers[zenoh.Query]()
+        self._answering: set[asyncio.Task[None]] = set()
         self._bridges: list[Bridge] = []
         self._watch = LinkWatch(network)
         self._tasks: list[asyncio.Task[None]] = []
@@ -155,16 +162,24 @@ class ZenohTransport:
             await asyncio.sleep(SILENCE_CHECK_PERIOD_S)
             if self._session is None:
                 continue
-            deaf = self._peers.listen_for_silence(self._linked(links_up(self._session)), self._ask)
-            if not deaf:
-                continue
-            whom = ", ".join(map(str, deaf))
-            log.warning("network: drone %s is still silent, though linked: links are renewed", whom)
-            self._counters["links_renewed"] += 1
-            async with self._changing:
-                await self._leave()
-                self._peers.part()
-                self._join_again()
+            ask = partial(self._ask, (keys.LIFE,))
+            remedies = self._peers.listen_for_silence(self._linked(links_up(self._session)), ask)
+            if remedies.reopen:
+                whom = ", ".join(map(str, remedies.reopen))
+                log.warning("network: drone %s is still silent, though linked: links are renewed", whom)
+                self._counters["links_renewed"] += 1
+                async with self._changing:
+                    await self._leave()
+                    self._peers.part()
+                    self._join_again()
+            elif remedies.repeat:
+                whom = ", ".join(map(str, remedies.repeat))
+                log.info(
+                    "network: drone %s does not know us yet, though linked: we declare ourselves again", whom
+                )
+                self._counters["declared_again"] += 1
+                async with self._changing:
+                    await self._declare_again()
 
     def _linked(self, up: LinksUp) -> set[int]:
         """Whose links stand, by their certificates; without keys, and by way of a router, nobody can tell."""
@@ -181,7 +196,9 @@ class ZenohTransport:
         self._session = session
         self._tasks += [
             asyncio.create_task(self._giving_way.run(session, lambda: len(self._peers.alive)), name="pace"),
-            asyncio.create_task(self._peers.ask_for_missing(self._ask), name="reconciliation"),
+            asyncio.create_task(
+                self._peers.ask_for_missing(partial(self._ask, (keys.SUBSCRIBED_TOO,))), name="reconciliation"
+            ),
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
             asyncio.create_task(keep_options(), name="TCP options"),
             asyncio.create_task(
@@ -202,24 +219,11 @@ class ZenohTransport:
                 priority=carriage.priority,
             )
         # The token comes last: it makes others ask, and the queryable must be there to answer.
+        self._tokens_declared = 0
         self._declared = [
             *self._publishers.values(),
             *self._giving_way.declare(self._publishers),
-            session.declare_queryable(
-                self._outgoing.key, zenoh.handlers.Callback(self._answer, indirect=False)
-            ),
-            session.declare_queryable(
-                self._outgoing.camera_key, zenoh.handlers.Callback(self._answer_camera, indirect=False)
-            ),
-            *(
-                session.declare_subscriber(
-                    expression, self._messages.handler(), allowed_origin=zenoh.Locality.REMOTE
-                )
-                for expression in subscriptions(team, me)
-            ),
-            session.liveliness().declare_subscriber(
-                keys.key(team, Kind.ALIVE, "*", "*"), self._tokens.handler(), history=True
-            ),
+            *self._declare_exchange(session),
             session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
         ]
         if self._outgoing.camera is not None:
@@ -230,32 +234,83 @@ class ZenohTransport:
                 congestion_control=zenoh.CongestionControl.DROP,  # who misses it asks
             )
 
+    def _declare_exchange(self, session: zenoh.Session) -> list[Any]:
+        """What we answer and what we listen to."""
+        team, me = self._network.team, self._drone_id
+        queryables = {self._outgoing.key: self._answer, self._outgoing.camera_key: self._answer_camera}
+        return [
+            *(
+                session.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
+                for key, answer in queryables.items()
+            ),
+            *(
+                session.declare_subscriber(
+                    expression, self._messages.handler(), allowed_origin=zenoh.Locality.REMOTE
+                )
+                for expression in subscriptions(team, me)
+            ),
+            session.liveliness().declare_subscriber(
+                keys.key(team, Kind.ALIVE, "*", "**"), self._tokens.handler(), history=True
+            ),
+        ]
+
+    async def _declare_again(self) -> None:
+        """Declare again what Zenoh may have lost with a link, and never repeats by itself. The token stays, for those
+        that have it; a further one joins it.
+        """
+        session = self._session
+        if session is None:
+            return
+
+        def declare(open_session: zenoh.Session) -> None:
+            kept: list[Any] = []
+            ended: list[Any] = []
+            for entity in self._declared:
+                (ended if isinstance(entity, zenoh.Queryable | zenoh.Subscriber) else kept).append(entity)
+            for entity in ended:
+                with contextlib.suppress(zenoh.ZError):  # undeclared already
+                    entity.undeclare()
+            self._declared = [*self._declare_exchange(open_session), *kept]
+            self._tokens_declared += 1
+            further = keys.key(
+                self._network.team, Kind.ALIVE, self._drone_id, self._boot, self._tokens_declared
+            )
+            self._declared.append(open_session.liveliness().declare_token(further))
+
+        try:
+            await bounded(partial(declare, session), SESSION_OPEN_S, "declare")
+        except TransportError as error:
+            log.info("%s", error)
+
     async def announce(self, announcement: Announcement) -> None:
         self._outgoing.replace(announcement)
+        self._peers.on_announced()
         session = self._session
         if session is None:
             return  # not open yet, or no more: those who come ask for it
 
-        def put(open_session: zenoh.Session) -> None:
-            payload = self._outgoing.encode()
-            assert payload is not None
-            open_session.put(
-                self._outgoing.key,
-                payload,
-                encoding=keys.ENCODINGS[Kind.POSE],
-                congestion_control=zenoh.CongestionControl.BLOCK,
-                priority=zenoh.Priority.INTERACTIVE_HIGH,
-            )
-
         try:
-            await bounded(partial(put, session), SESSION_PUT_S, "announce")
+            await bounded(partial(self._put, session), SESSION_PUT_S, "announce")
         except TransportError as error:
             self._counters["announcements_unsent"] += 1
             log.warning("announcement not put, teammates will ask for it: %s", error)
 
+    def _put(self, session: zenoh.Session) -> None:
+        """Our announcement, to all."""
+        self._put_at = self._loop.time()
+        payload = self._outgoing.encode()
+        assert payload is not None
+        session.put(
+            self._outgoing.key,
+            payload,
+            encoding=keys.ENCODINGS[Kind.POSE],
+            congestion_control=zenoh.CongestionControl.BLOCK,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+        )
+
     def request_announcement(self, drone_id: int) -> None:
         if self._session is not None and self._peers.may_request(drone_id):
-            ask_for_announcement(self._session, self._network.team, drone_id, self._messages, anew=True)
+            self._ask((keys.ANEW, keys.SUBSCRIBED_TOO), drone_id)
 
     def describe(self, camera: bytes) -> None:
         self._outgoing.camera = camera
@@ -283,6 +338,10 @@ class ZenohTransport:
         return channel in self._publishers and (
             kind is not Kind.VIDEO or self._giving_way.has_listener(channel)
         )
+
+    @property
+    def is_narrow(self) -> bool:
+        return self._giving_way.is_limited
 
     def events(self) -> AsyncIterator[PeerEvent]:
         return self._peers.events()
@@ -341,14 +400,46 @@ class ZenohTransport:
 
     def _answer(self, query: zenoh.Query) -> None:
         """In Zenoh's thread."""
+        words = query.parameters
+        with contextlib.suppress(RuntimeError):  # the loop is closed
+            if keys.ANEW in words and self._outgoing.accept_request():
+                self._loop.call_soon_threadsafe(self._peers.on_request)
+            if keys.LIFE in words:
+                query.reply_err(keys.IS_HERE)
+            elif not self._outgoing.announced:
+                query.reply_err(keys.NOTHING_YET)
+            elif keys.SUBSCRIBED_TOO not in words:
+                self._reply(query)
+            elif self._network.mode is Mode.PEER and self._loop.time() - self._put_at < NEWCOMER_GRACE_S:
+                query.reply_err(
+                    keys.IS_HERE
+                )  # it was linked before it asked, and so before that put, which is on its way
+            else:
+                wait_s = self._together.add(query)
+                if wait_s is not None:
+                    self._loop.call_soon_threadsafe(self._loop.call_later, wait_s, self._answer_together)
+
+    def _reply(self, query: zenoh.Query) -> None:
         payload = self._outgoing.answer()
         if payload is not None:
             query.reply(self._outgoing.key, payload, encoding=keys.ENCODINGS[Kind.POSE])
-        elif not self._outgoing.announced:
-            query.reply_err(keys.NOTHING_YET)  # who asks wants to know whether it is heard
-        if keys.ANEW in query.parameters and self._outgoing.accept_request():
-            with contextlib.suppress(RuntimeError):  # the loop is closed
-                self._loop.call_soon_threadsafe(self._peers.on_request)
+
+    def _answer_together(self) -> None:
+        """One that asks gets an answer, several get one put."""
+        queries, session = self._together.take(), self._session
+        if session is None or not queries:
+            return
+        answer = partial(self._reply, queries[0]) if len(queries) == 1 else partial(self._put, session)
+
+        async def give() -> None:
+            try:
+                await bounded(answer, SESSION_PUT_S, "answer")
+            except TransportError as error:  # who misses it asks again
+                log.info("%s", error)
+
+        task = asyncio.create_task(give(), name="answer")
+        self._answering.add(task)
+        task.add_done_callback(self._answering.discard)
 
     def _answer_camera(self, query: zenoh.Query) -> None:
         """In Zenoh's thread."""
@@ -356,12 +447,14 @@ class ZenohTransport:
         if payload is not None:
             query.reply(self._outgoing.camera_key, payload, encoding=keys.ENCODINGS[Kind.CAMERA])
 
-    def _ask(self, drone_id: int) -> None:
+    def _ask(self, words: tuple[str, ...], drone_id: int) -> None:
+        """words: parameters of the query."""
         if self._session is not None:
             ask_for_announcement(
                 self._session,
                 self._network.team,
                 drone_id,
                 self._messages,
+                *words,
                 on_answer=partial(self._peers.on_answer, drone_id),
             )

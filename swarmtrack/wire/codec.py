@@ -61,8 +61,8 @@ _ENCODER = msgspec.msgpack.Encoder()
 _PERHAPS_NOT_FINITE = re.compile(rb"\xcb[\x7f\xff][\xf0-\xff]|\xca[\x7f\xff][\x80-\xff]", re.DOTALL)
 
 
-def encode(message: Message) -> bytes:
-    """Bytes of a message. Raises ValueError where a reader would refuse it.
+def encode(message: Message, *, short: bool = False) -> bytes:
+    """Bytes of a message. Raises ValueError where a reader would refuse it. short: tracks in single precision.
 
     Of tracks, fifty times a second, the bounds are checked, which NaN fails too, but not again that covariances are
     such: trackers update in Joseph form.
@@ -71,7 +71,7 @@ def encode(message: Message) -> bytes:
     kind = type(message)
     try:
         if isinstance(message, TracksMessage):
-            data = tracks.shortened(data, message)
+            data = tracks.in_single_precision(message) if short else tracks.shortened(data, message)
             _typed(kind, data)
         else:
             if isinstance(message, CameraMessage):

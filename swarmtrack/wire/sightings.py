@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Final
 
 import numpy as np
 from msgspec import Meta
@@ -23,6 +23,9 @@ from swarmtrack.wire.fields import (
     Seconds,
     peer_fields,
 )
+
+NOWHERE_SIGMA_M: Final = 1e7
+"""Of a position that says nothing: the most that `Length` holds."""
 
 
 class SightingMessage(Record, frozen=True):
@@ -64,6 +67,16 @@ def sightings_message(report: SightingReport, utc_offset: float, now: float) -> 
             for s in r.sightings
         ),
     )
+
+
+def report_from_nowhere(drone_id: int, boot: str, sequence: int, now: float) -> SightingReport:
+    """Report of a drone that does not know where it is: a sign of life. now: on our monotonic clock [s]."""
+    return SightingReport(drone_id, boot, sequence, now, 0.0, np.zeros(3), NOWHERE_SIGMA_M, (), ())
+
+
+def is_from_nowhere(message: SightingsMessage) -> bool:
+    """Whether the sender does not know where it is: it only reports that it lives."""
+    return message.position_sigma_m >= NOWHERE_SIGMA_M and not message.sightings
 
 
 def check(message: SightingsMessage) -> None:

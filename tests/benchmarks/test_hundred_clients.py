@@ -23,8 +23,9 @@ async def test_everybody_knows_everybody_in_a_mesh_and_through_two_routers(mode:
     print(f"\n  {outcome}", end="")
     assert outcome.complete == SESSIONS
     assert 0 < outcome.announcement_bytes < 300
-    # Its own, and an answer to each of the others; a machine that is busy makes some ask again.
-    assert 1 <= outcome.announcements_sent_per_session <= 60
+    # Its own, and a few puts for all that ask in the rush of a start; then hardly anything but keep-alives.
+    assert 1 <= outcome.announcements_sent_per_session <= 4
+    assert outcome.idle_bytes_s_per_session <= 200
     assert outcome.bytes_until_known_per_session > (SESSIONS - 1) * outcome.announcement_bytes
     assert len(outcome.router_rss_mb) == (2 if mode == Mode.CLIENT else 0)
 

@@ -47,7 +47,6 @@ from swarmtrack.diagnosis.surroundings import (
 )
 from swarmtrack.diagnosis.tracking import check_tracking
 from swarmtrack.doctor import machine
-from swarmtrack.doctor.team import _multicast
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera, RadTan
@@ -56,6 +55,7 @@ from swarmtrack.messages import IdClash, LinkStatus, PeerDeparted, StampKind
 from swarmtrack.motion.hand_eye import Agreement, HandEye
 from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
+from swarmtrack.runtime.network_facts import _multicast
 from swarmtrack.tracking.consistency import Consistency
 from swarmtrack.tracking.noise import MeasuredNoise
 from swarmtrack.wire import codec
@@ -202,6 +202,7 @@ PRODUCED = {
     "tracking.careful": lambda: check_tracking(Consistency(0.2, 1.5, 2.5), None),
     "network.closed": lambda: network(refused="network: cannot listen on tcp/127.0.0.1:7447: Address already in use"),
     "network.router": lambda: network(refused="network: no router answers at tcp/10.0.0.1:7447"),
+    "network.wrong_address": lambda: network(wrong_address="network.peers: 1: found alpha, which means 127.0.1.1"),
     "network.address": lambda: network(absent_hosts=("10.0.0.1",)),
     "network.id_clash": lambda: network(alive={2: ("aaaaaaaa", "bbbbbbbb")}),
     "network.running": lambda: network(alive={1: ("aaaaaaaa",)}),

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from support.patience import PATIENCE
+from support.patience import PATIENCE, eventually
 from support.ports import free_port
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config.drone import load_config
@@ -32,6 +32,8 @@ from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.health import HEALTH_EVENTS_KEPT
 from swarmtrack.runtime.teamwork import LOG_LINES_PER_PERIOD, Teamwork
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
+from swarmtrack.wire import codec
+from swarmtrack.wire.sightings import SightingsMessage, is_from_nowhere
 
 CONFIG = """
 drone.id = 1
@@ -324,3 +326,24 @@ async def test_a_drone_that_shares_its_velocity_tells_how_it_moves_and_nothing_t
 
 async def test_by_default_nothing_is_said_of_the_motion(moving):
     assert await heard_of_sharing(moving) == []
+
+
+async def test_a_drone_that_does_not_know_where_it_is_reports_that_it_lives(parts):
+    hub = MemoryHub()
+    transport = MemoryTransport(hub, "swarm", 1, parts.boot, parts.clock)
+    ours = replace(parts, transport=transport)
+    told: list[SightingsMessage] = []
+    hub.listeners.append(
+        lambda key, payload: (
+            told.append(codec.decode(SightingsMessage, payload)) if "/identities/1" in key else None
+        )
+    )
+    assert ours.door.perceived.sighting_report(parts.boot, 1) is None
+    team = make_teamwork(ours, make_health(ours), make_notices(ours), ours.door.tell)
+    await transport.open()
+    reporting = asyncio.create_task(team.report())
+    await eventually(lambda: told)
+    reporting.cancel()
+    await transport.close()
+    assert (told[0].drone_id, told[0].boot, told[0].sightings) == (1, parts.boot, ())
+    assert is_from_nowhere(told[0])

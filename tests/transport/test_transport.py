@@ -9,6 +9,7 @@ import math
 import os
 import secrets
 from collections.abc import AsyncIterator, Awaitable, Callable
+from dataclasses import replace
 from typing import Any, Protocol
 
 import msgspec
@@ -32,19 +33,25 @@ from swarmtrack.messages import (
     Sighting,
     SightingReport,
 )
-from swarmtrack.transport import keys
+from swarmtrack.transport import keys, silence
 from swarmtrack.transport.base import Kind, Transport
-from swarmtrack.transport.limits import MAX_BOOTS_PER_ID, MAX_PEERS
+from swarmtrack.transport.limits import (
+    ANSWERS_PER_S,
+    ANSWERS_TOGETHER_S,
+    MAX_ANSWERS_TOGETHER_S,
+    MAX_BOOTS_PER_ID,
+    MAX_PEERS,
+)
 from swarmtrack.transport.membership import Membership
 from swarmtrack.transport.memory import MemoryHub, MemoryTransport
-from swarmtrack.transport.outgoing import Outgoing
+from swarmtrack.transport.outgoing import JointAnswers, Outgoing
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.transport.settings import NetworkSettings, check
 from swarmtrack.wire import codec
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_message
 from swarmtrack.wire.motion import motion_message
 from swarmtrack.wire.ranging import range_message
-from swarmtrack.wire.sightings import SightingsMessage, sightings_message
+from swarmtrack.wire.sightings import SightingsMessage, report_from_nowhere, sightings_message
 
 
 def announcement(drone_id: int, boot: str, sequence: int = 0, t: float = 0.0) -> Announcement:
@@ -329,6 +336,20 @@ async def test_reports_of_sightings_are_told_in_order_and_once(start: Start) -> 
     assert reports(listener.told)[0].sightings[0].drone_id == 9
 
 
+async def test_a_report_from_nowhere_is_a_sign_of_life_and_says_nothing_else(start: Start) -> None:
+    listener, lost = await start(1), await start(2)
+    await lost.announce()
+    await listener.hears(2, lost.boot)
+    for sequence in (1, 2):
+        said = report_from_nowhere(2, lost.boot, sequence, lost.clock.now())
+        payload = codec.encode(sightings_message(said, lost.clock.utc() - lost.clock.now(), lost.clock.now()))
+        lost.transport.publish(Kind.IDENTITIES, payload)
+    lost.report(3)
+    await listener.until(lambda told: bool(reports(told)))
+    assert [each.sequence for each in reports(listener.told)] == [3]
+    assert listener.counter("sightings_malformed") == 0
+
+
 async def test_a_report_on_a_key_or_of_a_boot_that_is_not_its_own_is_refused(
     start: Start, world: World, team: str
 ) -> None:
@@ -522,6 +543,56 @@ async def test_random_bytes_on_every_key_are_counted_and_nothing_stops(
     await friend.announce(sequence=1)
     await victim.hears(2, friend.boot, 1)
     assert heard(victim.told) == [(2, friend.boot, 0), (2, friend.boot, 1)]
+
+
+async def test_who_reports_without_having_our_announcement_is_told_of_us_again_over_the_same_links(
+    team: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Part of what we declared was lost with a link; others, who have it, see us neither go nor come."""
+    zenoh = pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
+    monkeypatch.setattr(silence, "REOPEN_LEASES", 0.5)
+    world = ZenohWorld()
+    us, witness = [
+        Agent(
+            world.transport(team, drone_id, f"0000000{drone_id}", clock),
+            drone_id,
+            f"0000000{drone_id}",
+            clock,
+        )
+        for drone_id, clock in ((1, ManualClock()), (2, ManualClock()))
+    ]
+    for agent in (us, witness):
+        await agent.transport.open()
+    await us.announce()
+    await witness.hears(1, us.boot)
+    await world.put("hello", b"")
+    assert isinstance(world, ZenohWorld)
+    changes: list[tuple[str, bool]] = []
+    session = world.intruder
+    token = session.liveliness().declare_token(keys.key(team, Kind.ALIVE, 3, "0000000c"))
+    tokens = session.liveliness().declare_subscriber(
+        keys.key(team, Kind.ALIVE, 1, "**"),
+        lambda sample: changes.append((str(sample.key_expr), sample.kind == zenoh.SampleKind.PUT)),
+    )
+    sequences = itertools.count(1)
+    async with asyncio.timeout(PATIENCE):
+        while not any(key.endswith(f"{us.boot}/1") for key, _ in changes):
+            said = report(3, "0000000c", next(sequences), 0.0)
+            payload = codec.encode(sightings_message(replace(said, known=(2,)), us.clock.utc(), 0.0))
+            await world.put(keys.key(team, Kind.IDENTITIES, 3), payload)
+            await asyncio.sleep(0.2)
+    assert all(alive for _, alive in changes)  # the first token stays
+    us.report(1)
+    await witness.until(lambda told: bool(reports(told)))
+    assert not any(isinstance(event, PeerDeparted) and event.drone_id == 1 for event in witness.told)
+    curious = Agent(world.transport(team, 4, "0000000d", ManualClock()), 4, "0000000d", ManualClock())
+    await curious.transport.open()
+    await curious.hears(1, us.boot)  # its queryable answers again, too
+    tokens.undeclare()
+    token.undeclare()
+    for agent in (us, witness, curious):
+        await agent.leave()
+    await world.close()
 
 
 @pytest.mark.parametrize("question", ["lost on its way", "kept without an answer"])
@@ -722,6 +793,24 @@ def test_a_flood_of_questions_is_answered_within_bounds_and_signed_once() -> Non
     later = outgoing.answer()
     assert later is not None
     assert codec.decode(AnnouncementMessage, later).age_s == pytest.approx(12.0)
+
+
+def test_questions_of_one_moment_wait_for_one_answer_and_longer_while_they_go_on() -> None:
+    together = JointAnswers[int]()
+    assert together.add(1) == ANSWERS_TOGETHER_S
+    assert together.take() == [1]
+    waits = []
+    for _ in range(8):
+        waits.append(together.add(1))
+        assert together.add(2) is None
+        assert together.take() == [1, 2]
+    assert waits == [min(ANSWERS_TOGETHER_S * 2**k, MAX_ANSWERS_TOGETHER_S) for k in range(8)]
+    together.add(3)
+    assert together.take() == [3]
+    assert together.add(4) == ANSWERS_TOGETHER_S
+    for question in range(10_000):
+        together.add(question)
+    assert len(together.take()) == ANSWERS_PER_S
 
 
 # --- the sender's clock, pure ---

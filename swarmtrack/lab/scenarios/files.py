@@ -88,7 +88,8 @@ from swarmtrack.lab.world.trajectory import (
 from swarmtrack.lab.world.world import World
 
 FOLDER = Path(str(resources.files("swarmtrack") / "configs" / "scenarios"))
-MAX_SCENARIO_DRONES = 1000
+# Each is a process with a camera of its own, and to find the places of more takes longer than anybody waits.
+MAX_SCENARIO_DRONES = 100
 MAX_CAMERAS = 8  # of a drone
 CLIMBS_S = 8.0  # s from a take-off to the height of a slot
 FASTEST_LEADER_M_S = 5.0
@@ -412,7 +413,7 @@ class ScenarioFile(Section):
     radio: Radio = Radio()
     ghosts: Ghosts = Ghosts(count=0)
     formation: FormationSection | None = None
-    drone: tuple[DroneSection, ...] = ()
+    drone: tuple[DroneSection, ...] = Field(default=(), max_length=2 * MAX_SCENARIO_DRONES)
     fault: tuple[ScenarioFault, ...] = ()
     expected: ParameterSection = ParameterSection()
 

@@ -161,6 +161,13 @@ class RadioEmulator:
         for drone in self._ports if drones is None else drones:
             self._channel.bits_per_s[self._ports[drone]] = 0.0 if kbit_s is None else 1e3 * kbit_s
 
+    def limit_frames(self, longest: int | None, drones: Collection[int] | None = None) -> None:
+        """The radios of these drones, or of all, swallow longer frames, in bytes with their headers; None: none."""
+        if longest is not None and not 100 <= longest <= MTU:
+            raise ValueError(f"longest: found {longest}, expected 100 to {MTU} bytes")
+        for drone in self._ports if drones is None else drones:
+            self._channel.longest_frame[self._ports[drone]] = 0.0 if longest is None else longest
+
     def cut(self, side: Iterable[int]) -> None:
         """These drones and the others no longer hear each other; several cuts add up."""
         ports = {self._ports[drone] for drone in side}

@@ -43,7 +43,8 @@ class RadioChannel:
     """What the radio channel does to frames, of each ordered pair of ports, and what it carried, of each port.
 
     A page of doubles in memory that two processes share; pairs are indexed `source * ports + receiver`. `blocked` is
-    0 for a pair that can hear each other; `bits_per_s` is 0 for a radio that is as fast as you like.
+    0 for a pair that can hear each other; `bits_per_s` is 0 for a radio that is as fast as you like, and
+    `longest_frame` 0 for one that carries frames of any length.
     """
 
     def __init__(self, fd: int, ports: int) -> None:
@@ -54,13 +55,14 @@ class RadioChannel:
         columns = [numbers[i * pairs : (i + 1) * pairs] for i in range(4)]
         self.loss, self.latency_s, self.jitter_s, self.blocked = columns
         counts = numbers[4 * pairs :]
-        rows = [counts[i * ports : (i + 1) * ports] for i in range(5)]
-        self.sent_frames, self.sent_bytes, self.lost_frames, self.blocked_frames, self.bits_per_s = rows
+        rows = [counts[i * ports : (i + 1) * ports] for i in range(6)]
+        self.sent_frames, self.sent_bytes, self.lost_frames, self.blocked_frames, *rest = rows
+        self.bits_per_s, self.longest_frame = rest
 
     @staticmethod
     def size(ports: int) -> int:
         """Bytes."""
-        return COUNT_BYTES * (4 * ports * ports + 5 * ports)
+        return COUNT_BYTES * (4 * ports * ports + 6 * ports)
 
 
 class Delivery(NamedTuple):
@@ -100,7 +102,7 @@ class Switch:
                 return []
             receivers = [port]
         sent = self._sent(source, frame, now)
-        if sent is None:
+        if sent is None or 0 < channel.longest_frame[source] < len(frame):
             channel.lost_frames[source] += 1
             return []
         return [port for port in receivers if self._arrives_at_once(source, port, frame, now, sent)]

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 from support.places import ROOT, writer
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import ConfigError
+from swarmtrack.lab.scenarios import files
 from swarmtrack.lab.scenarios.files import load_scenario, scenario_names
 from swarmtrack.lab.scenarios.scenario import FaultKind, Radio, Scenario, best_view
 from swarmtrack.lab.sources import open_simulation
@@ -448,3 +450,22 @@ def test_codes_are_for_drones_that_fly_by_plan(write):
     assert problems_of(write(errand)) == [
         "flight.toml:1: codes_s: with guided drones, errands or a star, expected drones that hover or fly by plan"
     ]
+
+
+@pytest.mark.parametrize(
+    ("team", "drones"),
+    [("drones = 1000", None), ("drones = 3", 1000), ("drones = 99999999", None)],
+)
+def test_more_drones_than_a_local_swarm_has_are_refused_before_their_places_are_looked_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, team: str, drones: int | None
+) -> None:
+    """To look for them takes minutes, and says nothing meanwhile."""
+    monkeypatch.setattr(files, "form_up", lambda *_: pytest.fail("looked for places"))
+    path = tmp_path / "many.toml"
+    path.write_text(
+        f'about = "many"\nseconds = 20.0\n[formation]\n{team}\nring = {{ radius_m = 300.0, heights_m = [3.0, 3.5] }}\n'
+    )
+    with pytest.raises(
+        ConfigError, match=r"formation\.drones: (1000|99999999).*, expected (1 to|less than or equal to) 100"
+    ):
+        load_scenario(path, seed=1, drones=drones)
