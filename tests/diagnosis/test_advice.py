@@ -53,10 +53,12 @@ BEYOND = {
     **dict.fromkeys(
         (
             "camera.missing", "camera.forbidden", "camera.busy", "camera.unreachable", "camera.silent", "camera.broken",
-            "camera.late", "camera.slow", "camera.damaged", "camera.blank", "autopilot.missing", "autopilot.forbidden",
+            "camera.late", "camera.slow", "camera.damaged", "camera.blank", "camera.garbled", "autopilot.missing",
+            "autopilot.forbidden",
             "autopilot.busy", "autopilot.unreachable", "autopilot.lost", "autopilot.foreign", "autopilot.strangers",
             "autopilot.losing", "autopilot.clock", "autopilot.drift", "autopilot.unsteady", "autopilot.broken",
-            "autopilot.no_position", "limits.silent", "network.clock", "disk.full", "disk.low", "heat.hot",
+            "autopilot.no_position", "autopilot.thrown_away", "limits.silent", "network.clock", "disk.full", "disk.low",
+            "heat.hot",
             "heat.throttled", "detector.fallback",
         ),
         HANDS,
@@ -64,6 +66,7 @@ BEYOND = {
     **dict.fromkeys(
         (
             "autopilot.silent", "autopilot.garbage", "autopilot.signature", "autopilot.no_imu", "autopilot.too_slow",
+            "autopilot.shared", "autopilot.no_pose",
             "imu.upside_down", "imu.tilted", "imu.gravity", "imu.bias", "limits.unknown",
         ),
         GROUND_STATION,
@@ -77,6 +80,7 @@ BEYOND = {
     ),
     **dict.fromkeys(("detector.slow", "tracking.noisy", "tracking.sure", "tracking.careful"), TUNING),
     "network.id_clash": "a clash and its end are followed in tests/transport/test_transport.py",
+    "autopilot.second": "an ID that is set chooses its autopilot in tests/autopilot/test_shared_links.py",
     "network.absent": "an agent that is started answers in tests/live/test_doctor.py",
     "network.running": "as network.id_clash",
     "network.wrong_address": "its remedies are followed in tests/transport/test_addresses.py",
