@@ -312,7 +312,7 @@ def test_drones_described_one_by_one_keep_their_ids_and_are_not_multiplied(write
     ]
     with pytest.raises(ConfigError, match=r"yawing-observer\.toml:6: drone: 4 drones wanted, expected 3"):
         load_scenario(FIXED, drones=4)
-    assert "0 drones wanted, expected 1 to 1000" in problems_of(write(RING), drones=0)[0]
+    assert "0 drones wanted, expected 1 to 100" in problems_of(write(RING), drones=0)[0]
 
 
 @pytest.mark.parametrize(
