@@ -96,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=["auto", "full", "reduced", "low"],
         default="auto",
         help="level of detail: full, the scenario's rates of frames, gyro samples and tracks; reduced, lower rates; "
-        "low, smaller pictures as well; auto, the highest that this machine has time for (default: %(default)s)",
+        "low, the lowest; auto, the highest that this machine has time for (default: %(default)s)",
     )
     _add_outputs(parser)
 

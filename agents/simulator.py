@@ -102,7 +102,7 @@ def parser() -> argparse.ArgumentParser:
         "--detail",
         choices=["full", "reduced", "low"],
         default="full",
-        help="how much of the scenario: fewer frames and gyro samples, and smaller pictures (default: full)",
+        help="how much of the scenario: fewer frames and gyro samples (default: full)",
     )
     parser.add_argument(
         "--epoch",

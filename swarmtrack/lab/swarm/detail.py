@@ -1,7 +1,7 @@
 """How much of a flight is simulated, where a machine has no time for all of it.
 
 The same drones fly the same paths and are called by the same names; pictures, gyro samples and tracks come more
-rarely, and pictures are smaller at the last. `docs/swarm.md` has what that costs.
+rarely. `docs/swarm.md` has what that costs.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import replace
 from enum import StrEnum
 from typing import NamedTuple
 
-from swarmtrack.lab.scenarios.scenario import Scenario, ScenarioCamera
+from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score.swarm_verdict import Limits
 
 
@@ -26,7 +26,7 @@ class Detail(StrEnum):
             return scenario
         return replace(
             scenario,
-            cameras=tuple(_smaller(camera, most) for camera in scenario.cameras),
+            cameras=tuple(replace(camera, fps=min(camera.fps, most.fps)) for camera in scenario.cameras),
             imu_rate_hz=min(scenario.imu_rate_hz, most.imu_hz),
             tracks_hz=min(scenario.tracks_hz, most.tracks_hz),
         )
@@ -43,20 +43,14 @@ class Detail(StrEnum):
 
 
 class _Most(NamedTuple):
-    """Rates at most, Hz, and by what pictures are made smaller."""
+    """Rates at most, Hz."""
 
     fps: float
     imu_hz: float
     tracks_hz: float
-    smaller: int
 
 
 _MOST = {
-    Detail.REDUCED: _Most(fps=7.0, imu_hz=100.0, tracks_hz=25.0, smaller=1),
-    Detail.LOW: _Most(fps=5.0, imu_hz=50.0, tracks_hz=20.0, smaller=2),
+    Detail.REDUCED: _Most(fps=7.0, imu_hz=100.0, tracks_hz=25.0),
+    Detail.LOW: _Most(fps=3.0, imu_hz=50.0, tracks_hz=20.0),
 }
-
-
-def _smaller(camera: ScenarioCamera, most: _Most) -> ScenarioCamera:
-    lens = camera.lens.scaled(camera.lens.width // most.smaller, camera.lens.height // most.smaller)
-    return replace(camera, lens=lens, fps=min(camera.fps, most.fps))

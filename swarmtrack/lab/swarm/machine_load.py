@@ -193,8 +193,7 @@ def described(scenario: Scenario, detector: str, capacity: Capacity, detail: Det
     if detail is Detail.FULL:
         return line
     whole = needed_cores(scenario, detector, capacity.speed)
-    size = f" of {seen.camera.width} × {seen.camera.height} pixels" if detail is Detail.LOW else ""
-    rates = f"{seen.fps:g} frames{size}, {seen.imu_rate_hz:g} gyro samples and {seen.tracks_hz:g} tracks per second"
+    rates = f"{seen.fps:g} frames, {seen.imu_rate_hz:g} gyro samples and {seen.tracks_hz:g} tracks per second"
     return f"{line} with {detail} detail ({rates}), {whole:.1f} with all of it (--detail full)"
 
 
