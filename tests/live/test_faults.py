@@ -114,8 +114,9 @@ class OneFlight:
         if self._team is None:
             return
         self._team.emulator.heal()
-        self._team.emulator.impair(loss=0.0)
+        self._team.emulator.impair(loss=0.0, latency_s=0.0, jitter_s=0.0)
         self._team.emulator.narrow(None)
+        self._team.emulator.limit_frames(None)
 
     async def land(self) -> None:
         self._team = None
@@ -241,14 +242,8 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(team: Team,
     assert departures == []
 
 
-@pytest.mark.parametrize("seconds", LISTENING_S)
-async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(
-    team: Team, seconds: float, flight: OneFlight
-) -> None:
-    """64 kbit/s carry signs of life and a few tracks; 25 Hz of tracks would take three times as much."""
-    agents = team.agents
-    narrowed = time.monotonic()
-    team.emulator.narrow(64.0)
+async def listened(team: Team, seconds: float) -> tuple[float, float, list[float]]:
+    """Somebody listens to all tracks for so long: from when and until when [s], and departures of drones since [s]."""
     listener = await team.listen("tracks/*")
     assert listener.stdout is not None
     await asyncio.wait_for(listener.stdout.readline(), PATIENCE)
@@ -259,12 +254,43 @@ async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(
             while await listener.stdout.readline():
                 heard += 1
     end = time.monotonic()
-    departures = [t - began for agent in agents.values() for t in agent.times("is gone", began)]
+    departures = [t - began for agent in team.agents.values() for t in agent.times("is gone", began)]
     _, lost = on_the_air(team)
     report("false deaths while somebody listened", len(departures), "")
     report("frames that the radio had no room for", lost - lost_before, "")
     report("tracks heard, per second and drone", heard / (end - began) / len(team.drones), "")
     assert team.wrong(team.drones, since=began, until=end) == 0
+    return began, end, departures
+
+
+@pytest.mark.long("20 s of listening on each of four radios")
+@pytest.mark.parametrize("radio", ["good", "40 % loss", "500 ± 200 ms", "frames of 1000 bytes at most"])
+async def test_a_listener_on_an_odd_radio_is_served_as_well_as_it_can(
+    team: Team, radio: str, flight: OneFlight
+) -> None:
+    """What the radio does to tracks is measured; a wrong name or nothing at all would be wrong on any."""
+    match radio:
+        case "40 % loss":
+            team.emulator.impair(loss=0.4)
+        case "500 ± 200 ms":
+            team.emulator.impair(latency_s=0.5, jitter_s=0.2)
+        case "frames of 1000 bytes at most":
+            team.emulator.limit_frames(1000)
+    began, end, departures = await listened(team, 20.0)
+    if radio in ("good", "frames of 1000 bytes at most") and team.longest_silence(began, end) < STANDSTILL_S:
+        assert departures == []
+    await flight.land()
+
+
+@pytest.mark.parametrize("seconds", LISTENING_S)
+async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(
+    team: Team, seconds: float, flight: OneFlight
+) -> None:
+    """64 kbit/s carry signs of life and a few tracks; 25 Hz of tracks would take three times as much."""
+    agents = team.agents
+    narrowed = time.monotonic()
+    team.emulator.narrow(64.0)
+    began, end, departures = await listened(team, seconds)
     assert any(agent.times("tracks are published less often", narrowed) for agent in agents.values())
     silence = team.longest_silence(began, end)
     if departures and silence > STANDSTILL_S:
