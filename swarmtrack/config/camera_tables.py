@@ -26,7 +26,6 @@ ROTATION_TOLERANCE = 2e-3  # entries of RRᵀ: files written by hand carry three
 MOST_FIT_ERROR_PX = (
     1.0  # px in the worst corner, as far as a detection scatters: beyond, ours is another lens
 )
-MOST_COEFFICIENTS = 14
 OTHER_SIZE = (
     0.8  # times the image's middle, in both axes alike: a principal point there is another image's middle
 )

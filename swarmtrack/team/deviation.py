@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.team.rows import TeammateRows
 
 
 class Deviation(NamedTuple):
@@ -25,26 +26,13 @@ class Deviation(NamedTuple):
     white: Array
 
 
-class DeviationFilters:
+class DeviationFilters(TeammateRows):
     """Filters of n teammates. `aside` (n, 2, 3, 8): of z, how far it is aside [m] and how fast [m/s]."""
 
     def __init__(self, n: int) -> None:
         self._aside = np.zeros((n, 2, 3, 8))
         self._cov = np.zeros((n, 3))
         self._t = np.full(n, -math.inf)
-
-    def grow(self, n: int) -> None:
-        """Room for n teammates."""
-        more = DeviationFilters(n)
-        k = len(self._t)
-        for name, value in vars(self).items():
-            vars(more)[name][:k] = value
-        vars(self).update(vars(more))
-
-    def remove(self, column: int) -> None:
-        """One teammate less."""
-        for name, value in vars(self).items():
-            vars(self)[name] = np.delete(value, column, 0)
 
     def restart(self, column: int) -> None:
         """Begin one filter again."""

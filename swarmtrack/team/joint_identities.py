@@ -52,7 +52,6 @@ from swarmtrack.team.priors import (
     P_NAME_KEPT,
     P_NAME_MOST,
     P_STRANGER,
-    PROVED_EVERY_S,
     SMALLEST_BOX_PX,
 )
 from swarmtrack.team.track_evidence import Bearing
@@ -88,9 +87,8 @@ class JointIdentities:
         self._seen: dict[int, LastSeen] = {}
         """By track with a name, its last ray."""
         self._doubt_since: float | None = None
-        self._proofs: dict[int, MotionProof] = {}
-        """By track: its name, by motion alone."""
-        self._proved_t = -math.inf
+        self._proofs: dict[tuple[int, int], MotionProof] = {}
+        """By track and drone: names, by motion alone."""
         self._astray: set[int] = set()
         """The drones of which was said that they are elsewhere than they say."""
 
@@ -238,24 +236,19 @@ class JointIdentities:
 
     def _prove(self, t: float) -> None:
         """Which names motion alone gives as well."""
-        if t - self._proved_t >= PROVED_EVERY_S:
-            self._proved_t = t
-            by_motion = self._posterior.by_motion(t)
-            found = {
-                id: proof_after(self._proofs.get(id), by_motion[id][drone], t)
-                for id, (drone, _) in self._names.items()
-                if id in by_motion
-            }
-            self._proofs = {id: proof for id, proof in found.items() if proof is not None}
-        self._proofs = {id: proof for id, proof in self._proofs.items() if id in self._names}
+        named = self._posterior.named
+        found = {
+            (id, drone): proof_after(self._proofs.get((id, drone)), named[id].by_motion[drone], t)
+            for id, (drone, _) in self._names.items()
+        }
+        self._proofs = {id: proof for id, proof in found.items() if proof is not None}
 
     def _find_astray(self, t: float) -> tuple[Astray, ...]:
         """The drones that are elsewhere than they say, once each."""
         found: list[Astray] = []
         if self._posterior.p_fault > P_FAULT_SILENT:
             return ()
-        for id, proof in self._proofs.items():
-            drone = self._names[id][0]
+        for (id, drone), proof in self._proofs.items():
             is_shown = self._alive[id].t == t and self._alive[id].coasting_since is None
             if drone in self._astray or not is_shown or t - proof.since < LASTS_S:
                 continue
@@ -303,7 +296,7 @@ class JointIdentities:
         if held is not None and track.status is not TrackStatus.TENTATIVE:
             probability = held[1] * track.probability
             if probability > 0.5:
-                return IdentifiedTrack(track, held[0], probability, self._proofs.get(track.id))
+                return IdentifiedTrack(track, held[0], probability, self._proofs.get((track.id, held[0])))
         elif self._is_foreign(track):
             return IdentifiedTrack(track, FOREIGN, self._posterior.named[track.id].p_none)
         return IdentifiedTrack(track, None, 0.0)

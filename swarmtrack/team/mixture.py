@@ -65,7 +65,7 @@ class JointMixture:
 
     def _begin(self) -> None:
         """All components are awake."""
-        self.weight = np.zeros(len(self.errors))
+        self.weight = np.eye(len(self.errors))[0]
         self._log_weight = np.zeros(len(self.errors))
         self._p_heading_off = np.zeros(len(self.errors))
         self._part = 0
@@ -241,11 +241,10 @@ class JointMixture:
         return kept, P
 
     def by_motion(
-        self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], t: float, known: OwnKnowledge
+        self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], known: OwnKnowledge
     ) -> Array:
         """Probability (n, m) of each track and teammate if all starts were unknown, by the likeliest components."""
-        weights = self.weight if self.weight.any() else np.eye(len(self.errors))[0]
-        used = np.sort(np.argsort(-weights)[:PROOF_COMPONENTS])
+        used = np.sort(np.argsort(-self.weight)[:PROOF_COMPONENTS])
         R = np.full((len(used), len(tracks), len(mates)), -np.inf)
         for c, mate in enumerate(mates):
             cases = [track.told().since(track.likeliest_segment, mate.column) for track in tracks]
@@ -259,7 +258,7 @@ class JointMixture:
                     R[:, i, c] = np.logaddexp.reduce(E[at:end] - E[0] + weight[:, None], axis=0)
                 at = end
         R = np.minimum(R + LOG_SEEN_SOMEWHERE, LOG_RATIO_MOST)
-        w = weights[used] / float(weights[used].sum())
+        w = self.weight[used] / float(self.weight[used].sum())
         return np.asarray(np.tensordot(w, matched_of_each(R).probability, axes=1))
 
     # --- where they are ---
@@ -284,18 +283,16 @@ class JointMixture:
         the own rays. design (3, 8): `evidence.design` of where it says that it is."""
         cases, weight = track.told().since(track.likeliest_segment, mate.column)
         M = mate.told(t) + cases[int(weight.argmax())]
-        # After a step of the heading, or with another team, nothing is weighed yet.
-        weights = self.weight if self.weight.any() else np.eye(len(self.errors))[0]
-        likely = np.argsort(-weights)[:PLACE_COMPONENTS]
+        likely = np.argsort(-self.weight)[:PLACE_COMPONENTS]
         marginal = self._marginal(mate, M[None], likely, known)
         log, mean, spread = [], [], []
         for k in likely.tolist():
-            if weights[k] > 0.0:
+            if self.weight[k] > 0.0:
                 prior = self._priors[mate.drone_id]
                 for one in marginal.places(
                     M, design, prior=prior, errors=self.errors, k=k, heading_sigma=known.heading_sigma
                 ):
-                    log.append(one.log_share + math.log(weights[k]))
+                    log.append(one.log_share + math.log(self.weight[k]))
                     mean.append(one.mean)
                     spread.append(one.cov)
         w = np.exp(np.array(log) - max(log))
@@ -325,15 +322,12 @@ def _each_past_once(
         if c is None or len(base[h]) == 1:
             continue
         others = np.delete(np.exp(np.minimum(ratio[h], LOG_RATIO_MOST)), c, axis=1)
-        always = np.zeros(len(others))
-        if holder.is_whole:
-            whole = base[h][0][:, None] + np.delete(each[h][0], c, axis=1) - nobody[h][:, None]
-            always = np.exp(base[h][0] - nobody[h]) + np.exp(np.minimum(whole, LOG_RATIO_MOST)).sum(axis=1)
+        whole = base[h][0][:, None] + np.delete(each[h][0], c, axis=1) - nobody[h][:, None]
+        always = np.exp(base[h][0] - nobody[h]) + np.exp(np.minimum(whole, LOG_RATIO_MOST)).sum(axis=1)
         share = np.clip(always / (1.0 + others.sum(axis=1)), 1e-300, 1.0 - 1e-12)
         for i, track in enumerate(tracks):
             if i != h and track.held != holder.held:
-                since = slice(int(track.is_whole), None)
-                late = np.logaddexp.reduce(base[i][since] + each[i][since, :, c], axis=0, initial=-np.inf)
+                late = np.logaddexp.reduce(base[i][1:] + each[i][1:, :, c], axis=0, initial=-np.inf)
                 once[i, :, c] = np.logaddexp(
                     np.log(share) + once[i, :, c], np.log1p(-share) + late - nobody[i]
                 )

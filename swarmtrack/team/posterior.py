@@ -72,10 +72,11 @@ class BearingScan(NamedTuple):
 
 
 class Named(NamedTuple):
-    """A track's probability of being each drone, and of being none."""
+    """A track's probability of being each drone, and of being none; by_motion: of each if all starts were unknown."""
 
     p: Mapping[int, float]
     p_none: float
+    by_motion: Mapping[int, float]
 
     @property
     def likeliest(self) -> tuple[int, float]:
@@ -99,6 +100,7 @@ class TeamPosterior:
         self._round = [-math.inf] * cameras
         """By camera, the time of the last round, s."""
         self._followed = [-math.inf] * cameras
+        """By camera, the last scan that was compared with known motions, s."""
         self._watched = [math.nan] * cameras
         self._missed: dict[int, float] = {}
         self._sure_t: dict[int, float] = {}
@@ -111,17 +113,6 @@ class TeamPosterior:
     def p_fault(self) -> float:
         """The probability that the own heading or start is wrong."""
         return self.mixture.p_fault
-
-    def by_motion(self, t: float) -> dict[int, dict[int, float]]:
-        """Probability of each name if all starts were unknown, by track and drone."""
-        mates = list(self.teammates.values())
-        if not mates or not self._tracks or self._team_has_changed:
-            return {}
-        P = self.mixture.by_motion(list(self._tracks.values()), mates, t, self._known)
-        return {
-            id: {mate.drone_id: float(one) for mate, one in zip(mates, p, strict=True)}
-            for id, p in zip(self._tracks, P, strict=True)
-        }
 
     def miss_m(self, track_id: int, t: float) -> float | None:
         """How far the teammate that is that track is from where it says, m; None where it seems to be there."""
@@ -336,10 +327,14 @@ class TeamPosterior:
         if self._team_has_changed:
             self._set_team()
         mates = list(self.teammates.values())
-        P = self.mixture.weigh(list(self._tracks.values()), mates, t, self._known)
-        for id, p in zip(self._tracks, P, strict=True):
-            each = {mate.drone_id: float(one) for mate, one in zip(mates, p, strict=True)}
-            self.named[id] = named = Named(each, max(1.0 - float(p.sum()), 0.0))
+        ids, tracks = [mate.drone_id for mate in mates], list(self._tracks.values())
+        P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
+        by_motion = self.mixture.by_motion(tracks, mates, self._known).tolist()
+        for id, p, moved in zip(self._tracks, P, by_motion, strict=True):
+            p_none = max(1.0 - sum(p), 0.0)
+            self.named[id] = named = Named(
+                dict(zip(ids, p, strict=True)), p_none, dict(zip(ids, moved, strict=True))
+            )
             if named.likeliest[1] >= P_BELIEVED:
                 self._sure_t[id] = t
         self._learn_sizes(t)

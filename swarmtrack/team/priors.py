@@ -136,6 +136,7 @@ SEGMENT_MISSED_S, SEGMENT_AFTER_MISS_S = 0.6, 0.3
 BELIEVED_ENDED_S = 4.0
 # From such a probability on the frame of whom it was is kept, from the other on it is kept as a supposition.
 P_SUPPOSED = 0.2
+# A track with such a name has been that teammate.
 P_HELD = 0.5
 P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
 # Log ratios of pairs beyond which nothing changes.
@@ -152,8 +153,6 @@ P_FAULT_SAID, FAULT_SAID_AFTER_S = 0.75, 0.5
 # Who is likelier than this to be wrong says of nobody that it is elsewhere.
 P_FAULT_SILENT = 0.25
 P_STRANGER = 0.98
-# Names by motion alone are worked out so often.
-PROVED_EVERY_S = 0.5
 # A track that has no name for so long lets so many drones be asked for their pose, that are as likely as that.
 ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
 

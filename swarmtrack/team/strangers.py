@@ -23,12 +23,13 @@ from swarmtrack.team.priors import (
     STRANGER_STRAIGHT_M_S,
     STRANGER_STRAIGHT_M_S2,
 )
+from swarmtrack.team.rows import TeammateRows
 
 KINDS = 4
 """Stands, hovers, manoeuvres, flies straight."""
 
 
-class StrangerFilters:
+class StrangerFilters(TeammateRows):
     """Filters of one track, for n distances and each kind. All arrays are (n, KINDS, …)."""
 
     def __init__(self, n: int) -> None:
@@ -39,19 +40,6 @@ class StrangerFilters:
         self._walk = np.zeros((n, KINDS))
         self._acceleration = np.zeros((n, KINDS))
         self._begun = np.zeros(n, bool)
-
-    def grow(self, n: int) -> None:
-        """Room for n distances."""
-        more = StrangerFilters(n)
-        k = len(self._begun)
-        for name, value in vars(self).items():
-            vars(more)[name][:k] = value
-        vars(self).update(vars(more))
-
-    def remove(self, column: int) -> None:
-        """One distance less."""
-        for name, value in vars(self).items():
-            vars(self)[name] = np.delete(value, column, 0)
 
     def turn(self, rotation: Array) -> None:
         """The axes of the bearings have turned: rotation (3, 3) takes directions along."""

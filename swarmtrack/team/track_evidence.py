@@ -31,7 +31,6 @@ from swarmtrack.team.priors import (
     HANDOVER_MOST,
     HANDOVER_PER_S,
     LOG_WEAK,
-    ROUND_S,
     SEGMENT_AFTER_MISS_S,
     SEGMENT_LEAST_S,
     SEGMENT_MISSED_S,
@@ -44,12 +43,11 @@ from swarmtrack.team.priors import (
 )
 from swarmtrack.team.strangers import KINDS, StrangerFilters
 
-# Columns of a sum: M, the log normalisers, the stranger's log densities, and the seconds of bearings.
+# Columns of a sum: M, the log normalisers, and the stranger's log densities.
 _M = slice(0, 64)
 _LOG = 64
 _STRANGER = slice(65, 65 + KINDS)
-_COUNT = 65 + KINDS
-_WIDTH = _COUNT + 1
+_WIDTH = 65 + KINDS
 # s: a bearing so soon after the last is none.
 _LEAST_STEP_S = 0.02
 # ln: distances beside the one that a box says; and of a target whose place is known.
@@ -112,22 +110,18 @@ class Compared(NamedTuple):
 
 class Told(NamedTuple):
     """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), and whether there
-    was any bearing (n,). size, size_log: `TrackEvidence.size`; is_whole: whether the first segment began with the
-    track."""
+    was any bearing (n,). size, size_log: `TrackEvidence.size`."""
 
     M: Array
     log: Array
     known: NDArray[np.bool_]
     size: Array
     size_log: Array
-    is_whole: bool
 
     def of(self, column: int) -> tuple[Array, Array, int]:
         """For one teammate, M (c, 8, 8) and log weights (c,): first, by distance, of the segment that began with the
-        track, as many as the last value says, none if it is given up; then of the others."""
+        track, as many as the last value says; then of the others."""
         log = self.log[:, column]
-        if not self.is_whole:
-            return self.M[:, column], log, 0
         near = np.flatnonzero(np.isfinite(self.size_log[:, column]))
         M = np.concatenate([self.M[0, column] + self.size[near, column], self.M[1:, column]])
         return M, np.concatenate([log[0] + self.size_log[near, column], log[1:]]), len(near)
@@ -135,9 +129,7 @@ class Told(NamedTuple):
     def since(self, segment: int, column: int) -> tuple[Array, Array]:
         """As `of`, of one segment."""
         M, log, whole = self.of(column)
-        at = slice(0, whole) if whole and not segment else slice(segment - 1 + whole, segment + whole)
-        if not whole:
-            at = slice(segment, segment + 1)
+        at = slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
         return M[at], log[at]
 
 
@@ -190,11 +182,6 @@ class TrackEvidence:
     def compared(self) -> NDArray[np.bool_]:
         """(n,): the teammates that it was compared with at least once."""
         return np.isfinite(self._at)
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether the first segment began with the track."""
-        return self.segments[0].base is None
 
     def log_weak(self, t: float) -> float:
         """Log prior that a teammate, and no stranger, has such a track at t: the longer unconfirmed, the less."""
@@ -265,6 +252,7 @@ class TrackEvidence:
         j, first = mates.columns, ~np.isfinite(since)
         rho, d = bearing.distance, bearing.direction
         white = bearing.variance * rho**2 + mates.deviation.white
+        # What lasts of the own attitude's error is in the white error of a place that is reported.
         deviation = mates.deviation._replace(
             sigma=np.where(
                 mates.deviation.sigma > 0.0,
@@ -292,7 +280,6 @@ class TrackEvidence:
             said = np.empty((len(j), _WIDTH))
             said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
             said[:, _LOG] = 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
-            said[:, _COUNT] = np.minimum(since, ROUND_S)
             said[:, _STRANGER] = stranger
             segment.sum[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
@@ -344,10 +331,10 @@ class TrackEvidence:
             self.begin_segment(t, log_handover, self.whole.copy())
 
     def begin_segment(self, t: float, log_handover: float, base: Array) -> None:
-        """From t on it may be another; base (k,): log evidence of all until then. Of too many segments the least likely
-        is dropped."""
+        """From t on it may be another; base (k,): log evidence of all until then. Of too many segments beside the first
+        the least likely is dropped."""
         if len(self.segments) > SEGMENTS_KEPT:
-            del self.segments[min(range(len(self.segments)), key=lambda s: self.segments[s].weight)]
+            del self.segments[min(range(1, len(self.segments)), key=lambda s: self.segments[s].weight)]
         self.segments.append(
             TrackSegment(t, np.zeros((self.n, _WIDTH)), DeviationFilters(self.n), log_handover, base)
         )
@@ -365,7 +352,7 @@ class TrackEvidence:
         M = sums[..., _M].reshape(*sums.shape[:2], 8, 8)
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
         log = sums[..., _LOG] - stranger
-        return Told(M, log, self.compared, self.size, self.size_log, self.is_whole)
+        return Told(M, log, self.compared, self.size, self.size_log)
 
     def bases(self, k: int) -> Array:
         """(s, k): log evidence of all before each segment, with its prior."""
