@@ -68,8 +68,8 @@ class Account:
         source = f" from {telemetry.imu_source.name} ({hz:.3g} Hz)" if gyro.used else ""
         yield f"used: {gyro.used} gyro samples{source}, {attitudes.used} attitudes, {positions.used} positions"
         wasted = [str(intake) for intake in telemetry.intakes if intake.thrown]
-        if telemetry.copies:
-            wasted.append(f"{telemetry.copies} copies of earlier messages")
+        if telemetry.stamps.copies:
+            wasted.append(f"{telemetry.stamps.copies} copies of earlier messages")
         if contact.foreign:
             wasted.append(f"{contact.foreign} messages of other systems or components")
         if framer.bad_bytes:

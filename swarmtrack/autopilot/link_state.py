@@ -156,7 +156,10 @@ class LinkState:
             case State.ENDED if contact.system is None:
                 return self._why_no_autopilot(now)
             case State.ENDED:
-                return "ended", f"{telemetry.imu_samples} IMU samples and {telemetry.poses} poses played"
+                return (
+                    "ended",
+                    f"{telemetry.gyro.used} IMU samples and {telemetry.attitudes.used} poses played",
+                )
             case State.NO_POSE:
                 lack = "neither ATTITUDE_QUATERNION nor ATTITUDE comes"
                 if thrown := str(telemetry.attitudes):
@@ -206,7 +209,7 @@ class LinkState:
         switch = f", {self.switch.in_words(now)}" if self.switch else ""
         source = telemetry.imu_source.name
         place = ", no LOCAL_POSITION_NED comes" if telemetry.has_no_place(now) else ""
-        copies = f", {telemetry.copies} copies dropped" if telemetry.copies else ""
+        copies = f", {telemetry.stamps.copies} copies dropped" if telemetry.stamps.copies else ""
         beside = ", ".join(map(str, self.contact.candidates.beside(self.contact.address, now)))
         heard = f", also on the link: {beside}" if beside else ""
         return f"IMU {asked}{telemetry.imu_rate_hz:.0f} Hz got from {source}{clock}{gyro}{switch}{place}{copies}{heard}"

@@ -96,6 +96,20 @@ class WayToAutopilot(NamedTuple):
     version_1: bool
 
 
+class _EarlyFrame(NamedTuple):
+    """A frame that came at t [s], before our autopilot was known; message: decoded, None if refused; sender: of its
+    datagram."""
+
+    t: float
+    frame: MavlinkFrame
+    message: Any | None
+    sender: Address | None
+
+    @property
+    def address(self) -> AutopilotAddress:
+        return AutopilotAddress(self.frame.system, self.frame.component)
+
+
 class MavlinkAutopilot:
     """An `Autopilot` (sources.py) at a MAVLink address.
 
@@ -140,17 +154,17 @@ class MavlinkAutopilot:
             line=self._link.bytes_per_second,
             signed=key is not None,
         )
-        name = str(self._link.address)
-        self._gyro_delays = GyroDelays(gyro_delay_s, asks=not self._link.recording, name=name)
+        self._gyro_delays = GyroDelays(
+            gyro_delay_s, asks=not self._link.recording, name=str(self._link.address)
+        )
         self._telemetry = Telemetry(
+            self._link,
             self._requests,
             self._contact,
             self._news,
             gps=gps,
             send=self._send,
             gyro_delays=self._gyro_delays,
-            recorded=self._link.recording,
-            name=name,
         )
         self._link_state = LinkState(
             link=self._link,
@@ -165,10 +179,8 @@ class MavlinkAutopilot:
         self._readers = self._make_readers()
         self._parameters: ParameterReader | None = None
         self._account = Account(self._link.address.scheme)
-        self._early: deque[tuple[float, MavlinkFrame, Any]] = deque(maxlen=EARLY_FRAMES_KEPT)
+        self._early: deque[_EarlyFrame] = deque(maxlen=EARLY_FRAMES_KEPT)
         self._next_heartbeat = self._next_tick = -math.inf
-        self._senders: dict[AutopilotAddress, tuple[Address | None, float]] = {}
-        """Where a datagram of each last came from, and when; until it is known which one is ours."""
         self._met_at = math.inf
         """When our autopilot was chosen."""
         self._greeted = False
@@ -384,7 +396,6 @@ class MavlinkAutopilot:
         contact.frames_before = self._framer.good
         self._framer.reset()
         self._early.clear()
-        self._senders.clear()
         self._requests.reset()
         self._telemetry.opened()
         self._next_heartbeat = -math.inf
@@ -414,9 +425,8 @@ class MavlinkAutopilot:
                 ours |= self._on_frame(t, frame, message)
                 continue
             # What came before it is known whose it was is not lost.
-            self._early.append((t, frame, message))
+            self._early.append(_EarlyFrame(t, frame, message, sender))
             self._note_source(t, frame, message)
-            self._senders[AutopilotAddress(frame.system, frame.component)] = sender, t
             ours |= self._look_for_autopilot(t)
         return ours
 
@@ -450,7 +460,9 @@ class MavlinkAutopilot:
             return not self._codec.has_key
         if message is None:
             return False
-        if frame.id not in self._telemetry.stamped and self._telemetry.is_copy(t, frame.id, frame.data):
+        if frame.id not in self._telemetry.stamped and self._telemetry.stamps.is_copy(
+            t, frame.id, frame.data
+        ):
             return False
         contact.heard_at = t
         contact.signature_trouble = ""
@@ -492,13 +504,13 @@ class MavlinkAutopilot:
         if candidate is None:
             return False
         self._meet(candidate, now)
-        sender, t = self._senders.get(contact.address, (None, now))
-        if sender is not None and isinstance(self._link, UdpLink):
-            self._link.meet(sender, t)
-        self._senders.clear()
+        last = next((early for early in reversed(self._early) if early.address == contact.address), None)
+        if last is not None and last.sender is not None and isinstance(self._link, UdpLink):
+            self._link.meet(last.sender, last.t)
         ours = False
         while self._early:
-            ours |= self._on_frame(*self._early.popleft())
+            early = self._early.popleft()
+            ours |= self._on_frame(early.t, early.frame, early.message)
         return ours
 
     def _meet(self, ours: AutopilotCandidate, now: float) -> None:

@@ -9,19 +9,13 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.boot_clock import (
-    MILLISECONDS_WRAP_S,
-    BootClock,
-    CopyMemory,
-    StampStep,
-)
+from swarmtrack.autopilot.boot_clock import MILLISECONDS_WRAP_S, BootClock, StampStep
 from swarmtrack.autopilot.clock_map import ClockMap
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
 from swarmtrack.autopilot.intake import Intake
 from swarmtrack.autopilot.limits import (
-    COPIES_EXPECTED_S,
     COPIES_SAID,
     DIVERGED_LOCAL_POSE,
     FASTEST_GYRO_RAD_S,
@@ -43,6 +37,8 @@ from swarmtrack.autopilot.limits import (
     TIMESYNC_FIRST_PERIOD_S,
     TIMESYNC_PERIOD_S,
 )
+from swarmtrack.autopilot.links import Link
+from swarmtrack.autopilot.stamps import AutopilotStamps
 from swarmtrack.autopilot.streams import (
     ATTITUDE,
     ATTITUDE_MESSAGES,
@@ -81,14 +77,15 @@ STEPPED_BACK = "stamps before the last one, after the clock was corrected"
 
 class Telemetry:
     """Turns our autopilot's messages into events for the listener. `readers`: by message id, handlers of (arrival,
-    message).
+    message); `stamped`: those that are read by their stamps.
 
-    gps: computes positions in the team frame; None: they are the autopilot's local ones; send: sends a message to the
-    autopilot; gyro_delays: delay of its gyro; recorded: nothing can be requested; name: of the link, for the log.
+    link: nothing can be requested of a recording; gps: computes positions in the team frame; None: they are the
+    autopilot's local ones; send: sends a message to the autopilot; gyro_delays: delay of its gyro.
     """
 
     def __init__(
         self,
+        link: Link,
         requests: StreamRequests,
         contact: Contact,
         news: RepeatLimiter,
@@ -96,77 +93,71 @@ class Telemetry:
         gps: GlobalPosition | None,
         send: Callable[[Any], None],
         gyro_delays: GyroDelays,
-        recorded: bool,
-        name: str,
     ) -> None:
-        self.clock_map = ClockMap()
-        """Of the gyro's stamps."""
-        self._pose_map = ClockMap()
-        self._other_stamps = 0
-        self.cadence = Cadence()
+        self._requests = requests
+        self._contact = contact
+        self._news = news
+        self._gps = gps
+        self._recorded = link.recording
+        self._send = send
+        self._gyro_delays = gyro_delays
+        self._name = str(link.address)
         self.listener: AutopilotListener
         self.stamped = frozenset(
             {*RANKS, ATTITUDE_QUATERNION, ATTITUDE, LOCAL_POSITION_NED, GLOBAL_POSITION_INT}
         )
-        """Messages that are read by their stamps."""
-        self.readers: dict[int, Callable[[float, Any], None]] = {
+        self.readers = self._make_readers()
+
+        self.clock_map = ClockMap()
+        """Of the gyro's stamps."""
+        self._pose_map = ClockMap()
+        self._other_stamps = 0
+        self.stamps = AutopilotStamps(wrapped=self._wrapped, begun_again=self._begin_again)
+        self.second_clock: float | None = None
+        """How far apart [s] the clock is of a second autopilot that speaks under the same ID; None: there is none."""
+        self._copies_before = 0
+        self._asked_time: dict[int, float] = {}
+        self._exchanges = 0
+        self._next_timesync = -math.inf
+
+        self.gyro = Intake("gyro samples")
+        self.attitudes = Intake("attitudes")
+        self.positions = Intake("positions")
+        self._poses_without_position = self._reboots = self._replaced = 0
+
+        self.cadence = Cadence()
+        self.imu_at = -math.inf  # when the last sample came
+        self.imu_rate_hz = 0.0
+        self.slow_gyro = False
+        """Whether the gyro comes too seldom to be of use."""
+        self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
+        self._imu_rank: int | None = None
+        self._imu_t = self._imu_since = self._window_start = -math.inf
+        self._window_count = 0
+
+        self._pose_at = self._quaternion_at = self._placed_at = -math.inf
+        self._position: tuple[float, Array, Array] | None = None
+        self._below: tuple[float, float] | None = None
+
+    def _make_readers(self) -> dict[int, Callable[[float, Any], None]]:
+        """By message."""
+        readers: dict[int, Callable[[float, Any], None]] = {
             common.MAVLINK_MSG_ID_TIMESYNC: self._on_timesync,
-            common.MAVLINK_MSG_ID_PARAM_VALUE: gyro_delays.on_value,
+            common.MAVLINK_MSG_ID_PARAM_VALUE: self._gyro_delays.on_value,
             HIGHRES_IMU: self._on_imu,
             RAW_IMU: self._on_imu,
             SCALED_IMU: self._on_imu,
             ATTITUDE_QUATERNION: self._on_quaternion,
             ATTITUDE: self._on_euler_angles,
-            LOCAL_POSITION_NED: self._on_local_position,
             DISTANCE_SENSOR: self._on_distance,
         }
-        if gps is not None:
-            del self.readers[LOCAL_POSITION_NED]
-            self.readers |= {
-                GPS_RAW_INT: gps.on_fix,
-                GPS2_RAW: gps.on_second_fix,
-                GLOBAL_POSITION_INT: self._on_global_position,
-            }
-        self.imu_at = -math.inf  # when the last sample came
-        self.imu_rate_hz = 0.0
-        self.gyro, self.attitudes, self.positions = (
-            Intake("gyro samples"),
-            Intake("attitudes"),
-            Intake("positions"),
-        )
-        self.copy_at = -math.inf  # when a copy came last
-        self.copies = 0
-        self._requests = requests
-        self._contact = contact
-        self._news = news
-        self._gps = gps
-        self._recorded = recorded
-        self._send = send
-        self._gyro_delays = gyro_delays
-        self._name = name
-
-        self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
-        self._imu_rank: int | None = None
-        self._imu_t = -math.inf
-        self._imu_since = -math.inf
-        self._window_start = -math.inf
-        self._window_count = 0
-        self._is_slow = False
-        self._clocks: dict[int, BootClock] = {}
-        self._copy_memory = CopyMemory()
-        self._read: tuple[float, float] | None = None
-        """When a stamp was read last, and the stamp."""
-        self._second_clock = math.nan
-        """How far the second clock is apart [s]; NaN: there is none."""
-        self._copies_before = 0
-        self._pose_at = self._quaternion_at = -math.inf
-        self._position: tuple[float, Array, Array] | None = None
-        self._placed_at = -math.inf
-        self._below: tuple[float, float] | None = None
-        self._asked_time: dict[int, float] = {}
-        self._exchanges = 0
-        self._next_timesync = -math.inf
-        self._poses_without_position = self._reboots = self._replaced = 0
+        if self._gps is None:
+            return readers | {LOCAL_POSITION_NED: self._on_local_position}
+        return readers | {
+            GPS_RAW_INT: self._gps.on_fix,
+            GPS2_RAW: self._gps.on_second_fix,
+            GLOBAL_POSITION_INT: self._on_global_position,
+        }
 
     @property
     def imu_source(self) -> ImuMessage:
@@ -191,33 +182,13 @@ class Telemetry:
         return "" if self._gps is None else self._gps.lack(now)
 
     @property
-    def imu_samples(self) -> int:
-        """Delivered since the start."""
-        return self.gyro.used
-
-    @property
-    def poses(self) -> int:
-        """Delivered since the start."""
-        return self.attitudes.used
-
-    @property
     def intakes(self) -> tuple[Intake, ...]:
         return self.gyro, self.attitudes, self.positions
-
-    @property
-    def second_clock(self) -> float | None:
-        """How far apart [s] the clock is of a second autopilot that speaks under the same ID; None: there is none."""
-        return None if math.isnan(self._second_clock) else self._second_clock
 
     @property
     def fault(self) -> str:
         """What is wrong with most of what came in the last window, in words; empty where most was used."""
         return next((intake.fault for intake in self.intakes if intake.fault), "")
-
-    @property
-    def slow_gyro(self) -> bool:
-        """Whether the gyro comes too seldom to be of use."""
-        return self._is_slow
 
     def has_no_place(self, now: float) -> bool:
         """Whether gyro samples come without a local position. A start by GPS says more, see `lack`."""
@@ -227,25 +198,21 @@ class Telemetry:
         """Whether gyro samples come without an attitude."""
         return now - max(self._pose_at, self._imu_since) > POSE_MISSED_S
 
-    def expects_copies(self, t: float) -> bool:
-        """Whether messages come a second time just now."""
-        return t - self.copy_at < COPIES_EXPECTED_S
-
     @property
     def counters(self) -> dict[str, float]:
         """All since the start."""
         clock_map, cadence, gyro_delay = self.clock_map, self.cadence, self.gyro_delay
         return {
             "imu_rate_hz": self.imu_rate_hz,
-            "imu_samples": self.imu_samples,
+            "imu_samples": self.gyro.used,
             "imu_lost": cadence.lost,
             "gaps": cadence.gaps,
             "duplicates": cadence.repeated,
-            "copies": self.copies,
+            "copies": self.stamps.copies,
             "out_of_step": sum(each.thrown[SECOND_CLOCK] for each in self.intakes),
             "invalid": sum(each.thrown[why] for each in self.intakes for why in (IMPOSSIBLE, OTHER_CLOCK)),
             "after_resync": self.gyro.thrown[STEPPED_BACK],
-            "poses": self.poses,
+            "poses": self.attitudes.used,
             "poses_without_position": self._poses_without_position,
             "reboots": self._reboots,
             "clocks_replaced": self._replaced,
@@ -274,12 +241,12 @@ class Telemetry:
         self.imu_rate_hz = self._window_count / (now - self._window_start)
         asked = math.inf if self._recorded else self._requests.imu_rate_hz
         enough = 0.95 * min(SLOWEST_USEFUL_GYRO_HZ, asked)
-        self._is_slow = 0.0 < self.imu_rate_hz < enough and self._imu_since <= self._window_start
+        self.slow_gyro = 0.0 < self.imu_rate_hz < enough and self._imu_since <= self._window_start
         self._window_start = now
         self._window_count = 0
         if self._imu_rank is not None:
             self._gyro_delays.log_delay(self.imu_source.id)
-        copies, self._copies_before = self.copies - self._copies_before, self.copies
+        copies, self._copies_before = self.stamps.copies - self._copies_before, self.stamps.copies
         if copies >= COPIES_SAID:
             text = (
                 "%s: messages of autopilot %s come again by a second way, %d in %g s: the copies are dropped"
@@ -292,7 +259,7 @@ class Telemetry:
             for intake, clock in self._stamped()
             if clock.is_shared and intake.shares.get(SECOND_CLOCK, 0.0) >= SECOND_CLOCK_SHARE
         ]
-        self._second_clock = shared[0].apart if shared else math.nan
+        self.second_clock = shared[0].apart if shared else None
 
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -301,7 +268,7 @@ class Telemetry:
         # HIGHRES_IMU and RAW_IMU may come from several sensors by turns: the first is the one in use.
         if source.numbered and m.id:
             return
-        step, stamp = self._step(t, m, source.stamp(m), source.wrap_s)
+        step, stamp = self.stamps.step(t, m, source.stamp(m), source.wrap_s)
         self._take_rates(t, m, step, stamp)
 
     def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
@@ -385,13 +352,13 @@ class Telemetry:
 
     def _position_stamp(self, t: float, m: Any) -> float | None:
         """None where it is not to be used."""
-        step, stamp = self._step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
         if step is StampStep.OTHER:
             self.positions.throw(SECOND_CLOCK)
         return None if step in (None, StampStep.OTHER) else stamp
 
     def _on_quaternion(self, t: float, m: Any) -> None:
-        step, stamp = self._step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
         self._take_rates(t, m, step, stamp)
         if self._is_next_pose(step):
             self._quaternion_at = t
@@ -399,7 +366,7 @@ class Telemetry:
             self._take_attitude(t, stamp, from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None)
 
     def _on_euler_angles(self, t: float, m: Any) -> None:
-        step, stamp = self._step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
         self._take_rates(t, m, step, stamp)
         if t - self._quaternion_at > QUATERNION_PREFERRED_S and self._is_next_pose(step):
             angles = m.roll, m.pitch, m.yaw
@@ -468,39 +435,9 @@ class Telemetry:
 
     # ── stamps ───────────────────────────────────────────────────────────────────────────────────────────────────
 
-    def _step(self, t: float, m: Any, raw: float, wrap_s: float) -> tuple[StampStep | None, float]:
-        """What the stamp `raw` [s] is to its kind of message, None: a copy's; and the stamp without wraps."""
-        message_id = m.get_msgId()
-        clock = self._clocks.get(message_id)
-        if clock is None:
-            clock = self._clocks[message_id] = BootClock(wrap_s)
-        if self._copy_memory.has(t, message_id, bytes(m.get_payload())) and not clock.may_be_reboot(t, raw):
-            self._copied(t)
-            return None, raw + clock.wraps * wrap_s
-        near = None if self._read is None else self._read[1] + t - self._read[0]
-        turns = clock.turns
-        step, stamp = clock.read(t, raw, near)
-        if step is StampStep.NEXT:
-            self._read = t, stamp
-            if clock.turns > turns:
-                text = "%s: the 32-bit clock of autopilot %s begins again from 0, and is followed"
-                self._news.warn("wrap", text, self._name, self._who)
-        elif step in (StampStep.REBOOT, StampStep.REPLACED):
-            self._begin_again(step, stamp, clock.apart)
-            self._clocks = {message_id: clock}
-            self._read = t, stamp
-        return step, stamp
-
-    def _copied(self, t: float) -> None:
-        self.copies += 1
-        self.copy_at = t
-
-    def is_copy(self, t: float, message_id: int, frame: bytes) -> bool:
-        """Whether a message without a stamp is a copy: only while others come twice, for its content may recur."""
-        if self._copy_memory.has(t, message_id, frame) and self.expects_copies(t):
-            self._copied(t)
-            return True
-        return False
+    def _wrapped(self) -> None:
+        text = "%s: the 32-bit clock of autopilot %s begins again from 0, and is followed"
+        self._news.warn("wrap", text, self._name, self._who)
 
     @property
     def _who(self) -> object:
@@ -515,8 +452,8 @@ class Telemetry:
         )
         for intake, message_ids in kinds:
             for message_id in message_ids:
-                if message_id in self._clocks:
-                    yield intake, self._clocks[message_id]
+                if (clock := self.stamps.clock(message_id)) is not None:
+                    yield intake, clock
 
     def _begin_again(self, step: StampStep, stamp: float, apart: float) -> None:
         """The autopilot's clock is another one from now on."""

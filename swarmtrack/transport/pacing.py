@@ -104,7 +104,7 @@ class Pacing:
     @property
     def is_limited(self) -> bool:
         """Whether the demand may be more than the rate: messages had better be short."""
-        return self._trial is not None or math.isfinite(self.bytes_s)
+        return math.isfinite(self.bytes_s)
 
     def allows(self, size: int, listeners: int, now: float, *, tracks: bool) -> bool:
         """Whether a message of `size` bytes may be sent now; then it is counted as sent. Tracks have priority.
