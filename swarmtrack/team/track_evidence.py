@@ -331,8 +331,8 @@ class TrackEvidence:
             self.begin_segment(t, log_handover, self.whole.copy())
 
     def begin_segment(self, t: float, log_handover: float, base: Array) -> None:
-        """From t on it may be another; base (k,): log evidence of all until then. Of too many segments beside the first
-        the least likely is dropped."""
+        """From t on it may be another; base (k,): log evidence of all until then. Of too many segments the least
+        likely is dropped."""
         if len(self.segments) > SEGMENTS_KEPT:
             del self.segments[min(range(1, len(self.segments)), key=lambda s: self.segments[s].weight)]
         self.segments.append(
