@@ -47,6 +47,8 @@ TEAM = (
     "benchmarks/test_endurance.py::test_a_real_flight",
     "benchmarks/test_hundred_clients.py",
     "live/test_faults.py",
+    "live/test_formation_flight.py",
+    "live/test_guard_flight.py",
     "live/test_judge.py",
     "live/test_outside_world.py",
     "live/test_proof.py",
