@@ -148,15 +148,10 @@ class MavlinkAutopilot:
         self._flight = FlightWatch()
         self._switch = switch
         self._engagement = engagement
-        self._requests = StreamRequests(
-            imu_rate_hz,
-            _rates(by_gps=gps is not None, channels=self._reads_channels, mode=engagement is not None),
-            line=self._link.bytes_per_second,
-            signed=key is not None,
-        )
-        self._gyro_delays = GyroDelays(
-            gyro_delay_s, asks=not self._link.recording, name=str(self._link.address)
-        )
+        name, recording, line = str(self._link.address), self._link.recording, self._link.bytes_per_second
+        rates = _rates(by_gps=gps is not None, channels=self._reads_channels, mode=engagement is not None)
+        self._requests = StreamRequests(imu_rate_hz, rates, line=line, signed=key is not None)
+        self._gyro_delays = GyroDelays(gyro_delay_s, asks=not recording, name=name)
         self._telemetry = Telemetry(
             self._link,
             self._requests,
