@@ -27,7 +27,6 @@ import numpy as np
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.report import Columns
-from swarmtrack.identity.parameters import IDENTITY_MODELS, IdentityParameters
 from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.lab.score.swarm_score import SwarmScore
 from swarmtrack.messages import Array
@@ -121,12 +120,6 @@ def some_of(name: str, choices: Iterable[str]) -> Option:
 
 
 TRACKER = option("--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS))
-MODEL = option(
-    "--model",
-    "model of identities, `identity.model` (default: %(default)s)",
-    default=IdentityParameters().model,
-    choices=IDENTITY_MODELS,
-)
 PROCESSES = option("--processes", "how many fly at once (default: one per core)", type=count, metavar="N")
 SECOND_STAGE = option(
     "--second-stage",

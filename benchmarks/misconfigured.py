@@ -25,7 +25,6 @@ import numpy as np
 from swarmtrack.arguments import positive
 from swarmtrack.benchmarks import harness
 from swarmtrack.benchmarks.harness import (
-    MODEL,
     PROCESSES,
     TRACKER,
     Flights,
@@ -37,7 +36,6 @@ from swarmtrack.benchmarks.harness import (
 )
 from swarmtrack.benchmarks.identity import recognition
 from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
-from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import AnnouncedStart, Scenario
 from swarmtrack.lab.score.swarm_score import Glance, SwarmScore, SwarmScorer
@@ -141,16 +139,14 @@ def fly(
     seed: int,
     *,
     share_hz: float | None = None,
-    model: str = IdentityParameters().model,
 ) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight. share_hz: how often each says how it
-    moves, None: never. model: `identity.model`."""
+    moves, None: never."""
     flown = load_scenario(scenario, seed=seed, drones=DRONES)
     told = {d: replace(start, position_sigma_m=sigma_m) for d, start in flown.announced.items()}
     flown = misplaced(replace(flown, announced=told), row)
     mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
-    identity = IdentityParameters(model=model)
-    swarm = VirtualSwarm(flown, tracker=tracker, identity=identity, mistakes=mistakes, share_hz=share_hz)
+    swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes, share_hz=share_hz)
     watch = _Watch(swarm, LATER_S[scenario], SECONDS[scenario])
     score = recognition.judge(swarm, flown, SECONDS[scenario], watch.add_glance).score
     after = {
@@ -181,7 +177,7 @@ def _rows(args: argparse.Namespace) -> list[harness.Row]:
     return [
         harness.Row(
             f"{scenario}: {row.name}",
-            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share, model=args.model),
+            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share),
             summary,
             {"name": row.name},
             place=("scenarios", scenario, row.name),
@@ -218,7 +214,6 @@ BENCH = Flights(
         option(
             "--share", "every drone says so often how it moves (default: never)", type=positive, metavar="HZ"
         ),
-        MODEL,
         PROCESSES,
     ),
     rows=_rows,
@@ -227,7 +222,6 @@ BENCH = Flights(
         "sigma_m": args.sigma,
         "tracker": args.tracker,
         "share_hz": args.share,
-        "model": args.model,
     },
     columns=(
         ("what is wrong", "{name}"),

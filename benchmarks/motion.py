@@ -2,14 +2,12 @@
 
 An observer that hovers sees N drones 5 to 20 m away, 7 times a second, nine times in ten, to 1.5 px. Its attitude is
 off by 12 mrad, for some 15 s in the same way. Each drone tells 5 times a second how it moved, to 2 cm. Its clock is off
-by 30 ms, and boxes tell distances to 30 %. The estimator is the agent's (`identity/motion_evidence.py`), without its
-tracker: a track is a drone. With `--model joint` it is the joint posterior, of which the names are those that an agent
-would publish.
+by 30 ms, and boxes tell distances to 30 %. The posterior is the agent's (`team/identities.py`), without its tracker: a
+track is a drone. Names are those that an agent would publish.
 
-A name is given where its probability over all matchings exceeds 0.999; a track is a stranger with 0.02 beforehand. A
-lie is found out where the liar's track is called a stranger, or by its right name. It is said already where motion
-alone speaks as surely against the name that the drone claims, which is what an agent tells; who did not lie and of whom
-that is said is accused.
+A lie is found out where the liar's track is called a stranger, or by its right name. It is said already where the track
+has any other name than the one that the drone claims; a drone that did not lie and whose track has another name is
+accused.
 """
 
 from __future__ import annotations
@@ -26,20 +24,17 @@ import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import harness
-from swarmtrack.benchmarks.harness import MODEL, Flights, option, quantile, seeds
+from swarmtrack.benchmarks.harness import Flights, option, quantile, seeds
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
-from swarmtrack.identity.motion_evidence import PUBLISHED, MotionEvidence, Saying
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.identity.proof import PROVED
 from swarmtrack.identity.reprojection import ObserverCamera
 from swarmtrack.messages import Announcement, Array, MotionReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.runtime.filed import SOMEWHERE_M
-from swarmtrack.team.joint_identities import JointIdentities
-from swarmtrack.tracking.marginals import matching_marginals
+from swarmtrack.team.identities import Identities
 
 TEAMS = (3, 5, 10)
 SECONDS, SCAN_S, SAY_S = 20.0, 1 / 7, 0.2
@@ -50,9 +45,7 @@ CENTRE_SIGMA_PX, P_DETECTION, SPAN_M, SPAN_SIGMA = 1.5, 0.9, 0.45, 0.3
 ATTITUDE_SIGMA, ATTITUDE_S = 0.012, 15.0
 SAID_M, SAID_M_S = 0.02, 0.05
 CLOCK_S = 0.03
-P_STRANGER = 0.02
 STRANGER = -1
-SURELY = math.log(PROVED / (1.0 - PROVED))
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +151,7 @@ class _Scene:
             place[0], speed[0] = other.place[0], other.speed[0]
         return _Told(place, speed)
 
-    def deliver_reports(self, found: _Motion | _Joint, t: float) -> None:
+    def deliver_reports(self, found: _Observer, t: float) -> None:
         """All that the drones said in the last scan's time."""
         for drone in range(self.n):
             first = math.ceil((t - SCAN_S - self._phase[drone]) / self._say_s)
@@ -169,7 +162,7 @@ class _Scene:
                 place = self.told.place[drone, step] + SAID_M * self.rng.standard_normal(3)
                 speed = self.told.speed[drone, step] + SAID_M_S * self.rng.standard_normal(3)
                 t_said = step * STEP_S + self._late[drone]
-                found.hear(Saying(drone, ("told",), t_said, place, speed, PUBLISHED))
+                found.hear(drone, t_said, place, speed)
 
     def scan(self, k: int) -> tuple[list[Track], ObserverCamera]:
         """Of scan k: the tracks, by drone, and the camera as the observer believes that it is."""
@@ -201,65 +194,22 @@ class _Scene:
         ], view
 
 
-class _Motion:
-    """The agent's motion evidence: a name of which motion alone is sure."""
-
-    def __init__(self, n: int) -> None:
-        self._n = n
-        self._found = MotionEvidence()
-
-    def hear(self, said: Saying) -> None:
-        self._found.hear(said)
-
-    def observe(self, tracks: list[Track], view: ObserverCamera) -> None:
-        self._found.observe(tracks, view)
-
-    def called(self) -> dict[int, int]:
-        """By track, the name that is sure enough by now."""
-        n = self._n
-        ratios = np.array([[self._found.log_ratio(track, drone) for drone in range(n)] for track in range(n)])
-        probability = matching_marginals(ratios - math.log(P_STRANGER))
-        probability = np.column_stack([probability, 1.0 - probability.sum(axis=1)])
-        best = probability.argmax(axis=1).tolist()
-        return {
-            track: STRANGER if name == n else name
-            for track, name in enumerate(best)
-            if probability[track, name] > PROVED
-        }
-
-    def speaks_against(self, drone: int) -> bool:
-        """Whether it is said that the drone's track does not move as it tells."""
-        return self._found.log_ratio(drone, drone) < -SURELY
-
-
-class _Joint:
-    """The joint posterior of a team of which nobody's start is known: the names that an agent would publish."""
+class _Observer:
+    """The posterior of a team without known starts: the names that an agent would publish."""
 
     def __init__(self, n: int) -> None:
         self._tracks: dict[int, Track] = {}
-        self._identities = JointIdentities(
-            n + 1, cameras=[(CAMERA, MOUNT)], parameters=IdentityParameters(model="joint")
-        )
+        self._identities = Identities(n + 1, cameras=[(CAMERA, MOUNT)], parameters=IdentityParameters())
         for drone in range(n):
             cov = SOMEWHERE_M**2 * np.eye(3)
             self._identities.announce(
                 Announcement(drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), cov)
             )
 
-    def hear(self, said: Saying) -> None:
+    def hear(self, drone: int, t: float, displacement: Array, velocity: Array) -> None:
         cov, cov_velocity = SAID_M**2 * np.eye(3), SAID_M_S**2 * np.eye(3)
         self._identities.on_motion(
-            MotionReport(
-                said.drone_id + 1,
-                "boot",
-                1,
-                said.t,
-                CLOCK_S,
-                said.displacement,
-                cov,
-                said.velocity,
-                cov_velocity,
-            )
+            MotionReport(drone + 1, "boot", 1, t, CLOCK_S, displacement, cov, velocity, cov_velocity)
         )
 
     def observe(self, tracks: list[Track], view: ObserverCamera) -> None:
@@ -286,10 +236,10 @@ class _Joint:
         return self.called().get(drone, drone) != drone
 
 
-def trial(row: Row, n: int, seed: int, *, model: str = IdentityParameters().model) -> Trial:
-    """One flight of n drones; the same arguments give the same. model: `identity.model`."""
+def trial(row: Row, n: int, seed: int) -> Trial:
+    """One flight of n drones; the same arguments give the same."""
     scene = _Scene(row, n, seed)
-    found = _Joint(n) if model == "joint" else _Motion(n)
+    found = _Observer(n)
     names: dict[int, int] = {}
     named, exposed, said, spent, scans = math.inf, math.inf, math.inf, 0.0, 0
     accused: set[int] = set()
@@ -344,7 +294,7 @@ def _rows(args: argparse.Namespace) -> list[harness.Row]:
     return [
         harness.Row(
             row.name,
-            partial(trial, row, n, model=args.model),
+            partial(trial, row, n),
             partial(summarise, row, n),
             {"row": row.name, "drones": n, "flights": args.seeds},
         )
@@ -369,10 +319,9 @@ BENCH = Flights(
             default=list(TEAMS),
             metavar="N",
         ),
-        MODEL,
     ),
     rows=_rows,
-    facts=lambda args: {"model": args.model},
+    facts=lambda args: {"seconds": SECONDS},
     columns=(
         ("what they do", "{row}"),
         ("drones", "{drones}"),

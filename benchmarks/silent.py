@@ -23,7 +23,6 @@ import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks.harness import (
-    MODEL,
     PROCESSES,
     TRACKER,
     Flights,
@@ -35,7 +34,6 @@ from swarmtrack.benchmarks.harness import (
 )
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.scenarios.scenario import (
     AnnouncedStart,
     Plan,
@@ -131,11 +129,10 @@ def _apart(one: Array, other: Array) -> bool:
     return float(np.linalg.norm(one - other)) > APART_M and angle > APART_RAD
 
 
-def look(n: int, mode: Mode, tracker: str, seed: int, *, model: str = IdentityParameters().model) -> Flight:
-    """One flight, as fast as it computes; the same arguments give the same flight. model: `identity.model`."""
+def look(n: int, mode: Mode, tracker: str, seed: int) -> Flight:
+    """One flight, as fast as it computes; the same arguments give the same flight."""
     scenario = scenario_of_seed(n, mode, seed)
-    identity = IdentityParameters(model=model)
-    swarm = VirtualSwarm(scenario, tracker=tracker, identity=identity, observers=[OBSERVER])
+    swarm = VirtualSwarm(scenario, tracker=tracker, observers=[OBSERVER])
     judge = _Judge(scenario)
     begins = CODE_S if mode.code else 0.0
     for scan in swarm.fly(begins + SECONDS):
@@ -200,7 +197,7 @@ def _rows(args: argparse.Namespace) -> list[Row]:
     return [
         Row(
             f"{mode.words}, {n} drones",
-            partial(look, n, mode, args.tracker, model=args.model),
+            partial(look, n, mode, args.tracker),
             partial(summary, n),
             {"mode": mode.words, "drones": n},
         )
@@ -225,11 +222,10 @@ BENCH = Flights(
             default=DRONES,
             metavar="N",
         ),
-        MODEL,
         PROCESSES,
     ),
     rows=_rows,
-    facts=lambda args: {"tracker": args.tracker, "seeds": args.seeds, "model": args.model},
+    facts=lambda args: {"tracker": args.tracker, "seeds": args.seeds},
     columns=(
         ("known", "{mode}"),
         ("drones", "{drones}"),

@@ -26,9 +26,9 @@ from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
-from swarmtrack.identity.identities import Identities
+from swarmtrack.identity.news import Astray
+from swarmtrack.identity.paper import PaperIdentities
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.identity.proof import Astray
 from swarmtrack.messages import (
     AgreedMotion,
     Announcement,
@@ -69,7 +69,7 @@ from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.metres import MeasuringCamera, Metres
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews
-from swarmtrack.team.joint_identities import JointIdentities
+from swarmtrack.team.identities import Identities
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.scan import make_scan
 
@@ -156,12 +156,11 @@ class Onboard:
         )
         self._picture_turns = PictureTurns(self._rig.from_first)
         self._stuck = StuckCameras(len(cameras))
-        joint = identity.model == "joint" and identity.profile != "paper"
-        self._identities: Identities | JointIdentities = (JointIdentities if joint else Identities)(
-            drone_id,
-            cameras=[(each.lens, each.body_from_camera) for each in cameras],
-            parameters=identity,
-            start_sigma_m=start_sigma_m,
+        lenses = [(each.lens, each.body_from_camera) for each in cameras]
+        self._identities: Identities | PaperIdentities = (
+            PaperIdentities(drone_id, cameras=lenses)
+            if identity.profile == "paper"
+            else Identities(drone_id, cameras=lenses, parameters=identity, start_sigma_m=start_sigma_m)
         )
         self._consensus = Consensus()
         self._view: OwnView | None = None
@@ -200,7 +199,6 @@ class Onboard:
             case SightingReport():
                 self._identities.on_report(event)
                 self._compare(event)
-                self._hear_place(event)
             case MotionReport():
                 self._identities.on_motion(event)
                 self._metres.hear_motion(event)
@@ -346,22 +344,10 @@ class Onboard:
         return pose.vaguer(DOUBTED_M if self.self_doubt else 0.0)
 
     def _compare(self, report: SightingReport) -> None:
-        """Whom a teammate sees, and where it stands: do we see the same?"""
-        for disagreement in self._consensus.compare(report):
-            self._events.append(disagreement)
-            if disagreement.overruled:
-                drone = disagreement.drone_id
-                self.counters.identities_overruled += 1
-                self._consensus.forget(drone)
-                if self._identities.overrule(drone, report.t):
-                    self._events.append(PoseWanted(drone))
-
-    def _hear_place(self, report: SightingReport) -> None:
-        """A teammate says where it is: in which frame, and where is it then?"""
+        """Whom a teammate sees, and where it stands: do we see the same, and in which frame is that?"""
+        self._events += self._consensus.compare(report)
         news = self._metres.hear_sightings(report)
         self._events += [] if news is None else [news]
-        if report.observer != self._drone_id:
-            self._identities.align(report.observer, self._metres.frame_of(report.observer))
 
     def _track(self, detections: Detections, t: float) -> None:
         """A scan exposed at t: into the tracker, its tracks to identity, and what has a name to metres."""
@@ -431,8 +417,9 @@ class Onboard:
         news = self._picture_turns.add_scan(number, scan, self.cameras[number].lens, orientation)
         if news is not None:
             self._rig.set_apart(self._picture_turns.wrong)
-            # It may have been of this camera.
+            # It may have been of this camera, and so may what it seemed to show of where this drone is.
             self._view = None
+            self._identities.lose_place()
             self._events.append(news)
 
     def _labelled(self, tracks: tuple[Track, ...]) -> tuple[IdentifiedTrack, ...]:

@@ -13,7 +13,6 @@ from swarmtrack.formation.setpoint import NO_SWAY, Setpoint, Why
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
-from swarmtrack.identity.identities import Identities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Detections, EgoPose, IdClash, ImuSample, PeerDeparted
 from swarmtrack.motion.ego import EgoHistory
@@ -23,6 +22,7 @@ from swarmtrack.motion.sway import sway
 from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion
+from swarmtrack.team.identities import Identities
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_tracker
 
 PARAMETERS = FormationParameters(
@@ -104,7 +104,7 @@ def test_the_own_flight_is_what_the_autopilot_says_and_how_old_that_is():
 def test_whose_own_place_leaps_goes_on_from_where_it_was_unless_it_doubts_that(doubts, monkeypatch):
     drone = onboard()
     t = hover(drone, velocity=(1.0, 0.0, 0.0))
-    monkeypatch.setattr(Identities, "self_doubt", property(lambda self: doubts))
+    monkeypatch.setattr(Identities, "_doubt", lambda self, t: setattr(self, "self_doubt", doubts))
     drone.tell(Detections(t - 0.1, 1, np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)))
     for k in range(1, 11):
         drone.tell(EgoPose(t + 0.02 * k, np.array([t + 0.02 * k, 10.0, 0.0]), np.eye(3)))

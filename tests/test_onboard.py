@@ -3,14 +3,11 @@
 import numpy as np
 import pytest
 
-from support.observer import LEFT, RIGHT, SCAN_S, Observer
-from support.swaying import Sway
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.identity.weighing import PLACE_ALONE
 from swarmtrack.messages import (
     Announcement,
     AutopilotRebooted,
@@ -19,7 +16,7 @@ from swarmtrack.messages import (
     IdClash,
     ImuSample,
     PeerDeparted,
-    PoseWanted,
+    PeerExpelled,
     RangeReport,
     ScanReport,
     SightingReport,
@@ -264,9 +261,9 @@ def test_teammates_have_a_place_in_metres_from_their_names_on_and_strangers_none
 def test_a_place_in_metres_ends_when_the_name_does():
     drone = onboard()
     drone.tell(announced(2, [6.0, -1.0, 0.0]))
-    t = watch(drone, [(320 - 430 / 6, 240.0)])
+    watch(drone, [(320 - 430 / 6, 240.0)])
     assert metres(drone)[2] is not None
-    drone.tell(SightingReport(2, "0000000a", 1, t, 0.0, np.array([0.0, 6.0, 0.0]), 0.01, (1,), ()))
+    drone.tell(PeerExpelled(2))
     watch(drone, [(320 - 430 / 6, 240.0)], start=8, scans=1)
     assert metres(drone) == {None: None}
 
@@ -287,8 +284,8 @@ def test_where_two_say_that_they_are_one_drone_is_not_where_it_is():
     assert np.linalg.norm(found[2].position) == pytest.approx(5.07, abs=0.3)
 
 
-def test_scans_disagreements_and_wishes_leave_by_one_way_and_once():
-    """A teammate that says it stands elsewhere than we see it: we give its name up, and want its pose again."""
+def test_scans_and_disagreements_leave_by_one_way_and_once():
+    """A teammate says that it stands elsewhere than we see it."""
     drone = onboard()
     drone.tell(announced(2, [6.0, -1.0, 0.0]))
     t = watch(drone, [(320 - 430 / 6, 240.0)])
@@ -296,11 +293,9 @@ def test_scans_disagreements_and_wishes_leave_by_one_way_and_once():
     assert [type(event) for event in reports] == [ScanReport] * 8
     assert drone.events() == ()
     drone.tell(SightingReport(2, "0000000a", 1, t, 0.0, np.array([0.0, 6.0, 0.0]), 0.01, (1,), ()))
-    disagreement, wanted = drone.events()
-    assert (disagreement.observer, disagreement.drone_id, disagreement.overruled) == (2, 2, True)
-    assert wanted == PoseWanted(2)
+    (disagreement,) = drone.events()
+    assert (disagreement.observer, disagreement.drone_id) == (2, 2)
     assert drone.events() == ()
-    assert identities(drone, t) == {None}
 
 
 def test_a_stranger_far_from_every_announced_pose_stays_unknown():
@@ -343,7 +338,7 @@ def test_a_new_boot_is_identified_anew_and_an_old_announcement_changes_nothing()
     assert drone.counters.announcements_refused == 1
     t = watch(drone, [(320.0, 240.0)])
     assert identities(drone, t) == {2}
-    drone.tell(announced(2, [6.0, 2.5, 0.0], boot="0000000b", t=t))
+    drone.tell(announced(2, [6.0, 20.0, 0.0], boot="0000000b", t=t))
     t = watch(drone, [(320.0, 240.0)], start=8)
     assert identities(drone, t) == {None}
 
@@ -386,46 +381,6 @@ def test_an_autopilot_that_reboots_in_flight_goes_on_from_where_the_drone_was():
     drone.tell(AutopilotRebooted())
     drone.tell(EgoPose(8.0, np.array([0.0, 0.0, 0.0]), np.eye(3)))
     assert drone.ego_pose(8.0).position == pytest.approx([98.0, 0.0, 0.0])
-
-
-class Aboard(Observer):
-    """One that sees by the whole of `Onboard`; its tracks have numbers of their own."""
-
-    def __init__(self):
-        super().__init__()
-        self.drone = onboard()
-        self.identities = self.drone._identities
-
-    def sees(self, seconds, coasting=(), **pixels):
-        assert not coasting, "whoever is not detected is left out"
-        for _ in range(round(seconds / SCAN_S)):
-            self.t = round(self.t + SCAN_S, 6)
-            self.drone.tell(ImuSample(self.t, np.zeros(3), NO_ACCEL))
-            self.drone.tell(EgoPose(self.t, np.zeros(3), np.eye(3), position_sigma=0.05, attitude_sigma=0.01))
-            self.drone.tell(seen(self.t, *pixels.values()))
-
-    def sureness(self):
-        """By drone, of its name."""
-        tracks = self.drone.tracks(self.t).tracks
-        return {entry.identity: entry.identity_probability for entry in tracks}
-
-
-@pytest.mark.parametrize("reboots", [False, True])
-def test_what_motion_proved_of_places_is_worth_nothing_once_the_autopilot_has_rebooted(reboots):
-    flight = Sway({"a": LEFT, "b": RIGHT}, {2: 12, 3: 13}, {2: LEFT, 3: RIGHT}, observer=Aboard())
-    flight.flies(14.0)
-    assert min(flight.observer.sureness()[drone] for drone in (2, 3)) > PLACE_ALONE
-    if reboots:
-        flight.observer.drone.tell(AutopilotRebooted())
-    places, flight.places = flight.places, {}
-    flight.flies(2.0)
-    # From now on they move alike: only their places tell them apart.
-    flight.places, flight.sways, flight.said = places, {2: 12, 3: 12}, {2: 12, 3: 12}
-    surest = 0.0
-    for _ in range(12):
-        flight.flies(1.0)
-        surest = max(surest, *(flight.observer.sureness().get(drone, 0.0) for drone in (2, 3)))
-    assert (surest > PLACE_ALONE) is not reboots
 
 
 def test_a_heading_that_is_found_after_boot_does_not_turn_the_team_frame():

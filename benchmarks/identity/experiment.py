@@ -30,9 +30,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from swarmtrack.benchmarks.identity.one_look import PRIOR, Prior, log_ratios, nearest
 from swarmtrack.geometry.camera import PinholeCamera
-from swarmtrack.identity.posterior import PRIOR, Prior, log_ratios, nearest, residuals
-from swarmtrack.identity.reprojection import Predictions
 from swarmtrack.lab.score.intervals import Interval, fraction_interval
 from swarmtrack.lab.score.reliability import Reliability, Stated
 from swarmtrack.messages import Array
@@ -76,11 +75,12 @@ class Cell(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """mean (n, 4), cov (n, 4, 4) of the tracks; truth (n,): the column of the drone each is, or `NOBODY`."""
+    """tracks (n, 2), projected (k, 2) px; variance px² per axis: of both together; truth (n,): the column of the drone
+    each track is, or `NOBODY`."""
 
-    mean: Array
-    cov: Array
-    predicted: Predictions
+    tracks: Array
+    projected: Array
+    variance: float
     truth: Columns
 
 
@@ -117,30 +117,17 @@ def draw(cell: Cell, k: int) -> Layout:
     truth = np.concatenate([seen, np.full(len(strangers), NOBODY)])
     places = np.concatenate([true[seen] + rng.normal(0.0, TRACK_SIGMA_PX, (len(seen), 2)), strangers])
     order = rng.permutation(len(truth))
-    mean = np.zeros((len(truth), 4))
-    mean[:, ::2] = places[order]
-    cov = np.broadcast_to(TRACK_SIGMA_PX**2 * np.eye(4), (len(truth), 4, 4))
-    predicted = Predictions(
-        key=[(column,) for column in range(n)],
-        drone_id=list(range(n)),
-        pixel=pixel,
-        share=np.ones((1, n)),
-        cov=np.broadcast_to(variance * np.eye(2), (1, n, 2, 2)),
-        distance=np.full((n, 2), np.nan),
-        turn=np.zeros((n, 2)),
-    )
-    return Layout(mean, cov, predicted, truth[order])
+    return Layout(places[order], pixel, variance + TRACK_SIGMA_PX**2, truth[order])
 
 
 def by_argmin(layout: Layout) -> Columns:
     """Algorithm 1 as printed."""
-    given = nearest(layout.mean, layout.predicted)
-    return np.array([given[row] for row in range(len(layout.mean))], dtype=np.int64)
+    return np.array(nearest(layout.tracks, layout.projected), dtype=np.int64)
 
 
 def by_distance(layout: Layout) -> Columns:
     """The one-to-one matching with the least sum of distances."""
-    distance = np.linalg.norm(layout.mean[:, None, ::2] - layout.predicted.pixel, axis=2)
+    distance = np.linalg.norm(layout.tracks[:, None] - layout.projected, axis=2)
     return _as_columns(len(distance), *linear_sum_assignment(distance))
 
 
@@ -171,7 +158,7 @@ def _as_columns(n: int, rows: Columns, columns: Columns) -> Columns:
 
 
 def log_ratios_of(layout: Layout, prior: Prior) -> Array:
-    return log_ratios(residuals(layout.mean, layout.cov, layout.predicted), CAMERA, prior)
+    return log_ratios(layout.tracks, layout.projected, layout.variance, CAMERA, prior)
 
 
 def priors_of(sky: Sky) -> dict[str, Prior]:

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from swarmtrack.benchmarks.harness import MODEL, PROCESSES, TRACKER, Flights, Row, scenarios, seeds
+from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, Row, scenarios, seeds
 from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
-from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score.intervals import Interval, mean_interval
@@ -37,18 +36,10 @@ class Flight:
     announcements_per_drone: float
 
 
-def fly(
-    scenario: str,
-    drones: int,
-    seconds: float,
-    tracker: str,
-    seed: int,
-    *,
-    model: str = IdentityParameters().model,
-) -> Flight:
-    """One flight, as fast as it computes; the same arguments give the same flight. model: `identity.model`."""
+def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> Flight:
+    """One flight, as fast as it computes; the same arguments give the same flight."""
     flown = load_scenario(scenario, seed=seed, drones=drones)
-    swarm = VirtualSwarm(flown, tracker=tracker, identity=IdentityParameters(model=model))
+    swarm = VirtualSwarm(flown, tracker=tracker)
     return judge(swarm, flown, seconds)
 
 
@@ -125,11 +116,11 @@ BENCH = Flights(
     "`{tracker}`, no processes; shares of (observer, drone in view, tenth of a second) with 95 % intervals over "
     "flights.",
     seeds=seeds(100, quick=4),
-    options=(TRACKER, scenarios(SCENARIOS), MODEL, PROCESSES),
+    options=(TRACKER, scenarios(SCENARIOS), PROCESSES),
     rows=lambda args: [
         Row(
             name,
-            partial(fly, name, DRONES, _seconds(quick=args.quick), args.tracker, model=args.model),
+            partial(fly, name, DRONES, _seconds(quick=args.quick), args.tracker),
             summary,
             {"name": name},
             place=("scenarios", name),
@@ -138,7 +129,6 @@ BENCH = Flights(
     ],
     facts=lambda args: {
         "tracker": args.tracker,
-        "model": args.model,
         "drones": DRONES,
         "seeds": args.seeds,
         "seconds": _seconds(quick=args.quick),

@@ -490,7 +490,7 @@ class TrackerSection(ParameterSection):
 
 
 class IdentitySection(ParameterSection):
-    """[identity]: when a track gets a drone's ID (docs/decisions/0008-who-is-who.md)."""
+    """[identity]: when a track gets a drone's ID (docs/identity.md)."""
 
 
 class NetworkSection(Section):

@@ -106,8 +106,8 @@ class TeamFormation(Section):
         description="true: the drones have ranging radios and receive their ranges (docs/client.md)",
     )
     sure: Annotated[Number, Field(ge=0.9, lt=1.0)] = Field(
-        default=0.99,
-        description="confidence that a reference's name needs for a second before it is used; above 0.97 only motion "
+        default=0.998,
+        description="confidence that a reference's name needs for a second before it is used; above 0.997 only motion "
         "confirms it, with [team] share",
     )
     consent: Literal["mode", "mode and switch"] = Field(

@@ -66,9 +66,9 @@ class FormationParameters:
     """m/s: as fast a slot is flown to, beside the references' own velocity."""
     clearance: float = 1.5
     """m: nobody is to come nearer than this."""
-    sure: float = 0.99
-    """Of a reference's name, for a second, before it is flown by. By place alone no name is surer than 0.97: more means
-    that how it moved has proved it, so that swapped pads lead nobody astray."""
+    sure: float = 0.998
+    """Of a reference's name, for a second, before it is flown by. By places alone no name is surer than 0.997: more
+    means that motion has shown it, so that swapped pads lead nobody astray."""
 
     def __post_init__(self) -> None:
         for drone in (self.drone_id, self.leader, *self.references):

@@ -1,14 +1,8 @@
 """Do the others see the same drone where this one sees it?
 
-Theory of operation. Every drone reports on which rays it sees which drones, and where it stands itself. Two rays to one
-drone must meet in front of both observers; a ray to the reporter itself must pass through where it says it stands. Each
-report is one vote of its sender on each drone that both see, and weighs as much as the log odds of the sender's own
-belief. A drone that is outvoted gives its hypothesis up; one that is not keeps it. Both sides compare the same two
-numbers, so one of them yields, and no master is needed.
-
-A liar may speak first and often, the others once a second. So the votes on a third drone are counted only when all had
-time to vote, that drone among them: its own report of its place outweighs any other single vote. Votes age by our
-clock, not by the time that a report states. A report too vague to be wrong is no vote.
+Every drone reports on which rays it sees which drones, and where it stands itself. Two rays to one drone must meet in
+front of both observers; a ray to the reporter itself must pass through where it says it stands. Where they do not, one
+of the two is wrong, and that is news. A report too vague to be wrong is none.
 """
 
 from __future__ import annotations
@@ -16,7 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -38,16 +32,8 @@ FRAME_SIGMA = 0.03
 GATE = 16.0
 # m along a ray.
 NEAREST, FARTHEST = 0.3, 300.0
-# Log odds that no single vote on a third drone exceeds.
-MAX_VOTE = math.log(1e3)
-# Log odds of a drone's vote on where it stands itself.
-SELF_VOTE = math.log(1e4)
-# s that a vote counts, on our clock.
-VOTE_S = 3.0
 # rad: an observer whose autopilot is silent for so long does not know where it looks.
 LOST_ATTITUDE = 0.3
-# s from the first vote against to the verdict: everybody reports once a second.
-VOTING_S = 1.5
 # Vaguer than this a report agrees with everything: s, m, rad.
 VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 10.0, 0.3
 
@@ -58,7 +44,6 @@ class Disagreement(NamedTuple):
     observer: int
     drone_id: int
     miss_m: float
-    overruled: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,41 +85,11 @@ class OwnView:
         )
 
 
-class _Vote(NamedTuple):
-    """weight: log odds, negative against."""
-
-    t: float
-    weight: float
-
-
-class _Ballot:
-    """The votes on one hypothesis of ours."""
-
-    def __init__(self) -> None:
-        self._votes: dict[int, _Vote] = {}
-        self._disputed_since = math.inf
-
-    def vote(self, observer: int, t: float, weight: float) -> None:
-        self._votes = {i: vote for i, vote in self._votes.items() if t - vote.t < VOTE_S}
-        if weight < 0.0 and all(vote.weight >= 0.0 for vote in self._votes.values()):
-            self._disputed_since = t
-        self._votes[observer] = _Vote(t, weight)
-
-    def is_complete(self, t: float) -> bool:
-        """Whether all had time to vote since the first vote against it."""
-        return t - self._disputed_since >= VOTING_S
-
-    @property
-    def balance(self) -> float:
-        return sum(vote.weight for vote in self._votes.values())
-
-
 class Consensus:
-    """Compares reports with this drone's own rays, and counts the votes."""
+    """Compares reports with this drone's own rays."""
 
     def __init__(self) -> None:
         self._views: deque[OwnView] = deque()
-        self._ballots: dict[int, _Ballot] = {}
         self.agreed = 0
         self.disagreed = 0
 
@@ -149,53 +104,29 @@ class Consensus:
         while self._views[0].t < view.t - MEMORY_S:
             self._views.popleft()
 
-    def forget(self, drone_id: int) -> None:
-        """Our hypothesis on this drone is given up: its votes no longer count, and it is not compared again."""
-        self._ballots.pop(drone_id, None)
-        self._views = deque(_without(view, drone_id) for view in self._views)
-
     def compare(self, report: SightingReport) -> list[Disagreement]:
-        """What the report says against our own hypotheses."""
+        """What the report says against our own rays."""
         view = min(self._views, key=lambda view: abs(view.t - report.t), default=None)
         if view is None or abs(view.t - report.t) > SIMULTANEOUS + report.t_sigma:
             return []
         if report.t_sigma > VAGUE_T or report.position_sigma > VAGUE_PLACE:
             return []
-        now = self._views[-1].t
         moved = SPEED * (abs(view.t - report.t) + report.t_sigma)
         reported = {seen.drone_id: seen for seen in report.sightings if seen.sigma <= VAGUE_RAY}
         found = []
         for drone_id, ours in view.sightings.items():
             if drone_id == report.observer:
                 miss, distance = miss_of_point(view, ours, report, moved)
-                weight = SELF_VOTE
             elif drone_id in reported:
-                theirs = reported[drone_id]
-                miss, distance = miss_of_rays(view, ours, report, theirs, moved)
-                weight = _log_odds(theirs.probability)
+                miss, distance = miss_of_rays(view, ours, report, reported[drone_id], moved)
             else:
                 continue
-            ballot = self._ballots.setdefault(drone_id, _Ballot())
             if distance <= GATE:
                 self.agreed += 1
-                ballot.vote(report.observer, now, weight)
-                continue
-            self.disagreed += 1
-            ballot.vote(report.observer, now, -weight)
-            # Ties go against us as against them: then both ask again.
-            outvoted = _log_odds(ours.probability) + ballot.balance <= 0.0
-            overruled = outvoted and (drone_id == report.observer or ballot.is_complete(now))
-            found.append(Disagreement(report.observer, drone_id, miss, overruled))
+            else:
+                self.disagreed += 1
+                found.append(Disagreement(report.observer, drone_id, miss))
         return found
-
-
-def _without(view: OwnView, drone_id: int) -> OwnView:
-    return replace(view, sightings={i: seen for i, seen in view.sightings.items() if i != drone_id})
-
-
-def _log_odds(probability: float) -> float:
-    p = min(max(probability, 1e-9), 1.0 - 1e-9)
-    return min(max(math.log(p / (1.0 - p)), 0.0), MAX_VOTE)
 
 
 def stands_there(own: SightingReport, ray: Sighting, report: SightingReport) -> bool:

@@ -27,24 +27,16 @@ class PoseRequests:
         self._waiting: set[int] = set()
         self._asked: dict[int, _Asked] = {}
 
-    def put(self, drone_id: int) -> None:
-        """Ask now."""
-        self._waiting.add(drone_id)
-
-    def ask(self, drone_id: int, t: float) -> bool:
-        """Ask unless it was asked not long ago. Returns whether it is asked."""
-        before = self._asked.get(drone_id)
-        if before is not None and t - before.t < before.wait_s:
-            return False
-        wait_s = min(2.0 * before.wait_s, LAST_WAIT_S) if before else FIRST_WAIT_S
-        self._asked[drone_id] = _Asked(t, wait_s)
-        self._waiting.add(drone_id)
-        return True
-
     def ask_again(self, place: Announcement, t: float) -> None:
-        """Ask whoever was there when it said so, unless that is not long ago."""
-        if t - place.t > STALE_S:
-            self.ask(place.drone_id, t)
+        """Ask whoever was there when it said so, unless that is not long ago, or it was asked not long ago."""
+        if t - place.t <= STALE_S:
+            return
+        before = self._asked.get(place.drone_id)
+        if before is not None and t - before.t < before.wait_s:
+            return
+        wait_s = min(2.0 * before.wait_s, LAST_WAIT_S) if before else FIRST_WAIT_S
+        self._asked[place.drone_id] = _Asked(t, wait_s)
+        self._waiting.add(place.drone_id)
 
     def answered(self, drone_id: int) -> None:
         """The matter is settled."""

@@ -139,10 +139,7 @@ class PilotNotices:
 
     def on_disagreement(self, found: Disagreement) -> None:
         """A teammate sees a drone elsewhere than we do."""
-        if found.overruled:
-            self.add(Severity.WARNING, f"outvoted on drone {found.drone_id}: unknown")
-        else:
-            self.add(Severity.WARNING, f"drone {found.observer} disputes drone {found.drone_id}")
+        self.add(Severity.WARNING, f"drone {found.observer} disputes drone {found.drone_id}")
 
     def add(self, severity: Severity, text: str) -> None:
         """A line for the pilot."""

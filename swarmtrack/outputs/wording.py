@@ -14,7 +14,7 @@ from swarmtrack.cameras.seams import SeamNews
 from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.geometry import rotation
 from swarmtrack.identity.consensus import Disagreement
-from swarmtrack.identity.proof import Astray
+from swarmtrack.identity.news import Astray
 from swarmtrack.messages import (
     Announcement,
     AnnouncementRequested,
@@ -82,7 +82,7 @@ def describe(news: News) -> str:
             )
         case Astray(miss_m=None):
             return (
-                f"track {news.track_id} does not move as drone {news.drone_id} reports: its name is in doubt"
+                f"track {news.track_id} does not move as drone {news.drone_id} reports: it has lost that name"
             )
         case Astray():
             return (
@@ -107,10 +107,9 @@ def describe(news: News) -> str:
         case DoubtNews():
             return "our start and heading fit what we see again: announced again"
         case Disagreement():
-            verdict = "we give that identity up and ask again" if news.overruled else "we keep to what we see"
             return (
                 f"drone {news.observer} and we see drone {news.drone_id} in different places "
-                f"({news.miss_m:.1f} m apart): {verdict}"
+                f"({news.miss_m:.1f} m apart)"
             )
         case SeamNews():
             return _describe_seam(news)

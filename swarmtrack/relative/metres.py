@@ -29,7 +29,6 @@ from swarmtrack.messages import (
     TrackStatus,
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
-from swarmtrack.relative.alignment import FrameTransform
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, Frames
 from swarmtrack.relative.heights import HeightSight, SaidHeights
@@ -123,10 +122,6 @@ class Metres:
         if believed or self._teammates.refused > refused:
             return self._range_watch.add_range(report, believed=believed)
         return None
-
-    def frame_of(self, drone_id: int) -> FrameTransform | None:
-        """From the frame in which that teammate reports to ours; None where they are the same."""
-        return self._frames.transform(drone_id)
 
     # --- what this drone sees ---
 

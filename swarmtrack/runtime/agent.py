@@ -17,7 +17,7 @@ from swarmtrack.cameras.seams import SeamNews
 from swarmtrack.config.toml.sections import key_text
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.identity.consensus import Disagreement
-from swarmtrack.identity.proof import Astray
+from swarmtrack.identity.news import Astray
 from swarmtrack.messages import (
     AutopilotRebooted,
     Detections,

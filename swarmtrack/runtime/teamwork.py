@@ -17,7 +17,7 @@ from swarmtrack.autopilot.notices import Severity
 from swarmtrack.clock import UTC_SIGMA, Clock
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
-from swarmtrack.identity.proof import Astray
+from swarmtrack.identity.news import Astray
 from swarmtrack.messages import (
     AgreedMotion,
     Announcement,
@@ -288,14 +288,12 @@ class Teamwork:
             self._asked.set()
 
     def on_disagreement(self, found: Disagreement) -> None:
-        """Another drone sees it otherwise: said once per pair, and whenever we give in."""
+        """Another drone sees it otherwise: said once per pair."""
         pair = (found.observer, found.drone_id)
-        if found.overruled or pair not in self._disputed:
+        if pair not in self._disputed:
             self._note(found.observer, describe(found), logging.WARNING)
             self._notices.on_disagreement(found)
         self._disputed.add(pair)
-        if found.overruled:
-            self._disputed.clear()
 
     def _note(self, about: int, line: str, level: int) -> None:
         now = self._clock.now()

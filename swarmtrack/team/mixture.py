@@ -40,7 +40,7 @@ from swarmtrack.team.priors import (
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
-from swarmtrack.tracking.marginals_of_each import matched_of_each
+from swarmtrack.tracking.marginals_of_each import MatchedOfEach, matched_of_each
 
 
 class OwnKnowledge(NamedTuple):
@@ -127,7 +127,7 @@ class JointMixture:
             ]
         ).reshape(len(tracks), len(used), len(mates))
         once = _each_past_once(ratio, base, each, tracks, mates)
-        kept, P = self._match(np.minimum(once.swapaxes(0, 1), LOG_RATIO_MOST), log_w, used)
+        kept, P = self._match(once.swapaxes(0, 1), log_w, used)
         for track, p in zip(tracks, P, strict=True):
             if p.max(initial=0.0) > P_HELD:
                 track.held = mates[int(p.argmax())].drone_id
@@ -195,7 +195,7 @@ class JointMixture:
                 log[whole:] -= math.log(len(self._priors))
                 if whole > 1:
                     log = np.concatenate([np.logaddexp.reduce(log[:whole], axis=0)[None], log[whole:]])
-                into[:, :, c] = np.minimum(log, LOG_RATIO_MOST)
+                into[:, :, c] = log
             at += len(M)
         return np.asarray(log_w)
 
@@ -227,7 +227,7 @@ class JointMixture:
         log_w (k,) without matchings. Returns which of `used` were matched, and the probability (n, m) of each pair."""
         R = np.where(log_ratio <= LOG_RATIO_LEAST, -np.inf, log_ratio)
         kept = _worth_matching(R, log_w)
-        found = matched_of_each(R[kept])
+        found = _matched(R[kept])
         log_w = log_w[kept] + found.log_total
         log_w = log_w - log_w.max()
         weight = np.exp(log_w)
@@ -257,9 +257,8 @@ class JointMixture:
                 if track.compared[mate.column]:
                     R[:, i, c] = np.logaddexp.reduce(E[at:end] - E[0] + weight[:, None], axis=0)
                 at = end
-        R = np.minimum(R + LOG_SEEN_SOMEWHERE, LOG_RATIO_MOST)
         w = self.weight[used] / float(self.weight[used].sum())
-        return np.asarray(np.tensordot(w, matched_of_each(R).probability, axes=1))
+        return np.asarray(np.tensordot(w, _matched(R + LOG_SEEN_SOMEWHERE).probability, axes=1))
 
     # --- where they are ---
 
@@ -321,10 +320,10 @@ def _each_past_once(
         c = next((c for c, mate in enumerate(mates) if mate.drone_id == holder.held), None)
         if c is None or len(base[h]) == 1:
             continue
-        others = np.delete(np.exp(np.minimum(ratio[h], LOG_RATIO_MOST)), c, axis=1)
+        others = np.logaddexp.reduce(np.delete(ratio[h], c, axis=1), axis=1, initial=0.0)
         whole = base[h][0][:, None] + np.delete(each[h][0], c, axis=1) - nobody[h][:, None]
-        always = np.exp(base[h][0] - nobody[h]) + np.exp(np.minimum(whole, LOG_RATIO_MOST)).sum(axis=1)
-        share = np.clip(always / (1.0 + others.sum(axis=1)), 1e-300, 1.0 - 1e-12)
+        always = np.logaddexp(base[h][0] - nobody[h], np.logaddexp.reduce(whole, axis=1, initial=-np.inf))
+        share = np.clip(np.exp(np.minimum(always - others, 0.0)), 1e-300, 1.0 - 1e-12)
         for i, track in enumerate(tracks):
             if i != h and track.held != holder.held:
                 late = np.logaddexp.reduce(base[i][1:] + each[i][1:, :, c], axis=0, initial=-np.inf)
@@ -332,6 +331,14 @@ def _each_past_once(
                     np.log(share) + once[i, :, c], np.log1p(-share) + late - nobody[i]
                 )
     return once
+
+
+def _matched(log_ratio: Array) -> MatchedOfEach:
+    """As `matched_of_each`, of log ratios (k, n, m) however large: of a track that is somebody by more than
+    LOG_RATIO_MOST, that it is nobody is as unlikely as exp(-LOG_RATIO_MOST)."""
+    beyond = np.maximum(log_ratio.max(axis=2, initial=-np.inf) - LOG_RATIO_MOST, 0.0)
+    found = matched_of_each(log_ratio - beyond[:, :, None])
+    return MatchedOfEach(found.probability, found.log_total + beyond.sum(axis=1))
 
 
 def _worth_matching(R: Array, log_w: Array) -> NDArray[np.intp]:

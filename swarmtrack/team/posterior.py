@@ -23,6 +23,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.messages import AgreedMotion, Announcement, Array
 from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.evidence import design, turned_back
+from swarmtrack.team.last_seen import LastSeenRay
 from swarmtrack.team.mixture import JointMixture, OwnKnowledge
 from swarmtrack.team.priors import (
     BELIEVED_ENDED_S,
@@ -34,16 +35,17 @@ from swarmtrack.team.priors import (
     ELSEWHERE_LEAST_M,
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
-    MOTION_WAIT_S,
     P_BELIEVED,
     P_ELSEWHERE,
     P_FRAME_KEPT,
+    P_HELD,
     P_SIZE_LEARNED,
     P_SUPPOSED,
     REPORT_WAIT_S,
     ROUND_NEAR_S,
     ROUND_S,
     START_LEAST_SIGMA_M,
+    TRACKED_ERROR_LASTS_S,
 )
 from swarmtrack.team.reported_places import SaidPlace
 from swarmtrack.team.teammates import Teammate
@@ -175,13 +177,15 @@ class TeamPosterior:
         for track in self._tracks.values():
             track.turn(to_old, forward)
         for mate in self.teammates.values():
-            mate.turn(to_old)
+            mate.turn(to_old, forward)
         self.mixture.turn(angle, list(self._tracks.values()))
         self._scans = [deque(scan.turned(forward) for scan in scans) for scans in self._scans]
 
     def begin_again(self) -> None:
         """Each track may be anybody."""
         self._tracks, self.named = {}, {}
+        for mate in self.teammates.values():
+            mate.seen = None
 
     def lose_place(self) -> None:
         """This drone may be elsewhere than it thinks: nothing that it saw says where anybody is."""
@@ -217,6 +221,7 @@ class TeamPosterior:
         is_due = t - self._weighed >= CALM_WEIGHED_EVERY_S
         if new or self._team_has_changed or is_due or (compared and not self._is_calm):
             self._weigh(t)
+        self._remember(scan)
 
     @property
     def _is_calm(self) -> bool:
@@ -241,7 +246,7 @@ class TeamPosterior:
         return self._round[number] > before
 
     def _follow(self, scan: BearingScan) -> bool:
-        """Compare every scan with the teammates whose motion then is known. Returns whether there was any."""
+        """Compare scans with the teammates whose motion then was agreed. Returns whether there was any."""
         number, t = scan.camera, scan.t
         followed = [mate for mate in self.teammates.values() if mate.is_followed(t)]
         if not followed:
@@ -249,10 +254,8 @@ class TeamPosterior:
             return False
         any_compared = False
         for kept in self._scans[number]:
-            if kept.t <= self._followed[number]:
+            if kept.t < self._followed[number] + TRACKED_ERROR_LASTS_S:
                 continue
-            if kept.t >= t - MOTION_WAIT_S and not all(mate.has_said(kept.t) for mate in followed):
-                break
             self._followed[number] = kept.t
             ids = [id for id in kept.bearings if id in self._tracks]
             self._compare(kept, ids, followed)
@@ -273,6 +276,7 @@ class TeamPosterior:
             log_span=np.array([mate.log_span for mate, _ in near]),
             span_variance=np.array([mate.span_variance for mate, _ in near]),
             is_near=np.array([mate.knows_start for mate, _ in near]),
+            log_there=np.array([mate.log_waits(scan.t) for mate, _ in near]),
         )
         knows = np.array([mate.knows(scan.t) for mate, _ in near])
         for id in ids:
@@ -280,18 +284,38 @@ class TeamPosterior:
                 weak = scan.bearings[id].weak
                 self._tracks[id] = TrackEvidence(len(self.teammates), scan.camera, weak=weak)
             track = self._tracks[id]
+            self._expect(track, scan.bearings[id], mates)
             of = compared.only(knows | ~track.compared[compared.columns])
             track.add(scan.bearings[id], of, scan.bearings[id].camera - self._start)
+
+    def _expect(self, track: TrackEvidence, bearing: Bearing, mates: Collection[Teammate]) -> None:
+        """Compare a new track with where teammates were seen that have said nothing since."""
+        for mate in mates:
+            seen = mate.seen
+            if seen is None or track.compared[mate.column] or mate.knows(bearing.t):
+                continue
+            if not mate.speaks(seen.bearing.t, 0.0):
+                track.expect(mate.column, seen.log_ratio(bearing), bearing.t)
+
+    def _remember(self, scan: BearingScan) -> None:
+        """Where each teammate is seen."""
+        for id, bearing in scan.bearings.items():
+            named = self.named.get(id)
+            drone, p = (0, 0.0) if named is None else named.likeliest
+            mate = self.teammates.get(drone)
+            if mate is not None and p > P_HELD:
+                mate.seen = LastSeenRay.after(mate.seen, id, bearing, p)
 
     def _watch(self, scan: BearingScan) -> None:
         """Which tracks are confirmed, and which may have gone over to another target."""
         t, number = scan.t, scan.camera
-        passed = 0.0 if math.isnan(self._watched[number]) else t - self._watched[number]
+        passed = 0.0 if math.isnan(self._watched[number]) else max(t - self._watched[number], 0.0)
         self._watched[number] = t
         at = np.array([bearing.pixel for bearing in scan.bearings.values()]).reshape(-1, 2)
         gap = np.linalg.norm(at[:, None] - at, axis=2) + np.diag(np.full(len(at), np.inf))
         for id, near in zip(scan.bearings, gap, strict=True):
-            missed = t - self._missed.pop(id, t)
+            # Another camera may have missed it since, and its scan have come first.
+            missed = max(t - self._missed.pop(id, t), 0.0)
             if id in self._tracks:
                 self._tracks[id].weak = scan.bearings[id].weak
                 self._tracks[id].watch(t, passed, missed, float(near.min()))

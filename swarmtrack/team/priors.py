@@ -64,27 +64,39 @@ SOMEWHERE_SIGMA_M = 30.0
 REPORTED_PLACE_SIGMA_M = 0.12
 # How far a teammate is from where it says that it moved, smoothly, m and rad/s, and white; the same of a code, and of a
 # plan.
-MOTION_DEVIATION, MOTION_WHITE_M = (0.03, 0.5), 0.02
+MOTION_DEVIATION, MOTION_WHITE_M = (0.05, 0.5), 0.04
 CODED_DEVIATION, PLANNED_DEVIATION, AGREED_WHITE_M = (0.1, 1.5), (0.3, 1.0), 0.02
-# How much farther off a place is that is carried on from the last report: of a drone that moves, and one that hovers.
-CARRIED_MOVING_M_S, CARRIED_HOVERING_M_S, MOVING_M_S = 0.6, 0.2, 0.3
-CARRIED_FREE_S, CARRIED_MOST_S = 0.2, 1.5
-# Of a teammate that has said nothing for longer, only a track that is new is compared with its last place.
-PLACE_LASTS_S = 3.0
+# A place is carried on from the last report, with its velocity for so long at most; the drone may accelerate by so much
+# meanwhile.
+CARRIED_MOST_S, CARRIED_M_S2 = 1.5, 1.5
+# Of a teammate that has said nothing for longer, only a new track is compared with its last place: it waits or hovers
+# there, give or take so much for each second, and not beyond a limit; half of them have left after so long. One that
+# flew then is farther off.
+PLACE_LASTS_S = 1.2
+WAITING_M_S, WAITING_MOST_M, WAITING_HALF_S = 0.2, 0.4, 30.0
+FLEW_ON_M_S, FLEW_M_S = 0.6, 0.3
+# A teammate that says nothing comes back near where it was seen: so long it keeps its course, and leaves it by so much;
+# of some nothing is known but that they are within an angle that grows. No teammate is nearer than that, as far as the
+# own way turns its bearing. The rate of a bearing is taken from two that are so far apart.
+SEEN_COURSE_S, SEEN_TURN_RAD_S = 1.0, 0.1
+SHARE_SEEN_LOST, SEEN_LOST_RAD, SEEN_LOST_RAD_S = 0.1, 0.3, 1.0
+SEEN_NEAREST_M, SEEN_RATE_APART_S = 2.0, 0.3
 # Whoever says that it is farther away is not compared: nobody would see it.
 FARTHEST_COMPARED_M = 2000.0
 # A path between two reports bends as the last three did; of its sagitta so much is error.
 BEND_ERROR = 0.7
 # Beside what the tracker says: of the own attitude, of a box's centre against its drone's.
 BEARING_SIGMA_RAD, CENTRE_SIGMA_PX2 = 4e-3, 1.0
+# A tracker remembers: for so long the error of a track is the same, and another bearing says nothing new.
+TRACKED_ERROR_LASTS_S = 0.4
 # What lasts of the own attitude's error.
 ATTITUDE_LASTING_SIGMA_RAD = 0.006
-# Bearings are compared in rounds, those of an agreed motion in every scan.
+# Bearings are compared in rounds, those of a motion that is known as often as they say something new.
 ROUND_S = 0.5
 # A comparison is of bearings at most this far from the round's time.
 ROUND_NEAR_S = 0.2
-# So long is waited for a report of the same time, and for one of who says how it moves; then for nobody.
-REPORT_WAIT_S, MOTION_WAIT_S = 1.6, 0.5
+# So long is waited for a report of the same time; then for nobody.
+REPORT_WAIT_S = 1.6
 # What bearings say fades: errors that were taken to be constant wander.
 BEARINGS_LAST_S = 40.0
 # What ended tracks said of the own errors lasts longer.
@@ -115,7 +127,7 @@ STRANGER_PARALLAX_SIGMA = 0.4
 
 # "This track is that teammate" against "a stranger, and the teammate is not seen": teammates that have a track while
 # others are seen, those that have none, and strangers in a picture.
-P_TEAMMATE_SEEN, P_TEAMMATE_MISSED, STRANGERS_SEEN = 0.9, 0.3, 0.3
+P_TEAMMATE_SEEN, P_TEAMMATE_MISSED, STRANGERS_SEEN = 0.9, 0.3, 0.2
 LOG_SEEN = math.log(P_TEAMMATE_SEEN / P_TEAMMATE_MISSED / STRANGERS_SEEN)
 # The same of a teammate that may stand anywhere around: that it is in the picture at all is known from the track.
 LOG_SEEN_SOMEWHERE = LOG_SEEN + math.log(4.0 * math.pi)
@@ -126,7 +138,7 @@ LOG_WEAK = math.log(0.25 / 3.0)
 WEAK_FREE_S, WEAK_PER_S, WEAK_MOST = 1.0, 1.0, 4.0
 # A track goes over to another target: at any time; where it meets another; where it comes back after a miss.
 HANDOVER_PER_S, HANDOVER_MET, HANDOVER_MISSED_PER_S = 0.0005, 0.002, 0.01
-HANDOVER_MOST = 0.3
+HANDOVER_LEAST, HANDOVER_MOST = 1e-6, 0.3
 TRACKS_MEET_PX = 25.0
 # How many segments of a track are kept beside the first, and the least time between two.
 SEGMENTS_KEPT, SEGMENT_LEAST_S = 3, 1.5
@@ -139,9 +151,9 @@ P_SUPPOSED = 0.2
 # A track with such a name has been that teammate.
 P_HELD = 0.5
 P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
-# Log ratios of pairs beyond which nothing changes.
+# Log ratios of pairs: below the least they are impossible; above the most, a track is somebody.
 LOG_NONSENSE = -1e6
-LOG_RATIO_LEAST, LOG_RATIO_MOST = -60.0, 80.0
+LOG_RATIO_LEAST, LOG_RATIO_MOST = -60.0, 60.0
 
 # --- Read-outs. ---
 
@@ -154,7 +166,7 @@ P_FAULT_SAID, FAULT_SAID_AFTER_S = 0.75, 0.5
 P_FAULT_SILENT = 0.25
 P_STRANGER = 0.98
 # A track that has no name for so long lets so many drones be asked for their pose, that are as likely as that.
-ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 1.0, 2, 0.01
+ASK_AFTER_S, ASKED_AT_ONCE, P_ASKED = 0.5, 2, 0.01
 
 # A place is the average over so many components, the likeliest; and what motion alone says is.
 PLACE_COMPONENTS, PROOF_COMPONENTS = 3, 4

@@ -15,14 +15,16 @@ import numpy as np
 from swarmtrack.messages import Array
 from swarmtrack.team.priors import (
     BEND_ERROR,
-    CARRIED_FREE_S,
-    CARRIED_HOVERING_M_S,
+    CARRIED_M_S2,
     CARRIED_MOST_S,
-    CARRIED_MOVING_M_S,
+    FLEW_M_S,
+    FLEW_ON_M_S,
     MOTION_DEVIATION,
     MOTION_WHITE_M,
-    MOVING_M_S,
+    PLACE_LASTS_S,
     REPORTED_PLACE_SIGMA_M,
+    WAITING_M_S,
+    WAITING_MOST_M,
 )
 
 # Reports kept: a few seconds of the quickest sender.
@@ -80,14 +82,15 @@ class ReportedPlaces:
         here = reports[k]
         if k + 1 < len(reports) and t >= here.t:
             return self._between(k, t)
-        if here.velocity is None:
-            place, moves = here.place, False
-        else:
-            place = here.place + np.clip(t - here.t, -CARRIED_MOST_S, CARRIED_MOST_S) * here.velocity
-            moves = bool(np.linalg.norm(here.velocity) > MOVING_M_S)
-        rate = CARRIED_MOVING_M_S if moves else CARRIED_HOVERING_M_S
-        carried = rate * max(abs(t - here.t) - CARRIED_FREE_S, 0.0)
-        return _said(place, carried, here)
+        place, since = here.place, abs(t - here.t)
+        speed = 0.0 if here.velocity is None else float(np.linalg.norm(here.velocity))
+        if here.velocity is not None:
+            place = place + np.clip(t - here.t, -CARRIED_MOST_S, CARRIED_MOST_S) * here.velocity
+        if since <= PLACE_LASTS_S:
+            return _said(place, 0.5 * CARRIED_M_S2 * since**2, here)
+        if speed > FLEW_M_S:
+            return _said(place, FLEW_ON_M_S * since, here)
+        return _said(place, min(WAITING_M_S * since, WAITING_MOST_M), here)
 
     def _between(self, k: int, t: float) -> SaidPlace:
         here, there = self._reports[k], self._reports[k + 1]

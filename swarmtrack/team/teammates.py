@@ -8,14 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, SightingReport
+from swarmtrack.team.last_seen import LastSeenRay
 from swarmtrack.team.priors import (
     AGREED_WHITE_M,
     BOX_SPAN_SIGMA_LN,
     CODED_DEVIATION,
-    MOTION_WAIT_S,
     PLACE_LASTS_S,
     PLANNED_DEVIATION,
     SOMEWHERE_SIGMA_M,
+    WAITING_HALF_S,
 )
 from swarmtrack.team.reported_places import Report, ReportedPlaces, SaidPlace
 from swarmtrack.team.track_evidence import fading
@@ -51,6 +52,7 @@ class Teammate:
     """How it moves by what was agreed before the flight, whichever of its processes lives."""
     _told: Array = field(default_factory=lambda: np.zeros((8, 8)))
     _told_t: float = 0.0
+    seen: LastSeenRay | None = None
     p_supposed: float = 0.0
     """The probability that the last track that may have been it was it."""
     _supposed: Array = field(default_factory=lambda: np.zeros((8, 8)))
@@ -111,13 +113,17 @@ class Teammate:
         """Whether it has said anything of where it was at about t."""
         return self._agreed_at(t) is not None or t - self.path.last.t <= PLACE_LASTS_S
 
+    def log_waits(self, t: float) -> float:
+        """Log prior that it is still about where it was when it last said so."""
+        return 0.0 if self.knows(t) else -math.log1p((t - self.path.last.t) / WAITING_HALF_S)
+
     def has_said(self, t: float) -> bool:
         """Whether nothing has to be waited for to know where it was at t."""
         return self._agreed_at(t) is not None or self.path.last.t >= t
 
     def is_followed(self, t: float) -> bool:
-        """Whether every scan at about t can be compared with its motion: an agreed one, or one that it says."""
-        return self._agreed_at(t) is not None or t - self._motion_t <= MOTION_WAIT_S
+        """Whether any scan at about t can be compared with its motion: an agreed one."""
+        return self._agreed_at(t) is not None
 
     def _agreed_at(self, t: float) -> AgreedMotion | None:
         return next((motion for motion in self.motions if motion.t[0] <= t <= motion.t[-1]), None)
@@ -148,7 +154,8 @@ class Teammate:
         """What its ended tracks said was of another start of this drone."""
         self._told, self.p_supposed = np.zeros((8, 8)), 0.0
 
-    def turn(self, to_old: Array) -> None:
-        """The axes of the own rays have turned: to_old (8, 8) takes z back."""
+    def turn(self, to_old: Array, forward: Array) -> None:
+        """The axes of the own rays have turned: forward (3, 3) takes directions along, to_old (8, 8) z back."""
+        self.seen = None if self.seen is None else self.seen.turned(forward)
         self._told = to_old.T @ self._told @ to_old
         self._supposed = to_old.T @ self._supposed @ to_old

@@ -26,6 +26,7 @@ from swarmtrack.team.priors import (
     BOX_SIZE_SIGMA_LN,
     DISTANCE_SHARE,
     DISTANCE_STEP_LN,
+    HANDOVER_LEAST,
     HANDOVER_MET,
     HANDOVER_MISSED_PER_S,
     HANDOVER_MOST,
@@ -86,7 +87,8 @@ class Compared(NamedTuple):
     """m teammates at the time of a bearing.
 
     columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; deviation: how far it
-    may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance.
+    may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance; log_there
+    (m,): log prior that it is about there at all.
     """
 
     columns: NDArray[np.intp]
@@ -95,6 +97,7 @@ class Compared(NamedTuple):
     log_span: Array
     span_variance: Array
     is_near: NDArray[np.bool_]
+    log_there: Array
 
     def only(self, chosen: NDArray[np.bool_]) -> Compared:
         """Those of them."""
@@ -105,6 +108,7 @@ class Compared(NamedTuple):
             self.log_span[chosen],
             self.span_variance[chosen],
             self.is_near[chosen],
+            self.log_there[chosen],
         )
 
 
@@ -279,13 +283,22 @@ class TrackEvidence:
             left, S = segment.deviation.innovations(j, across, d, bearing.t, deviation)
             said = np.empty((len(j), _WIDTH))
             said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
-            said[:, _LOG] = 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
+            said[:, _LOG] = mates.log_there + 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
             said[:, _STRANGER] = stranger
             segment.sum[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
         self._add_size(mates, along, rho)
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
+
+    def expect(self, column: int, log_ratio: float, t: float) -> None:
+        """The first bearing at t is compared with where a teammate was seen that says nothing: it is so much likelier
+        than that of a stranger, ln."""
+        self._fade(t)
+        self._at[column] = t
+        self.segments[0].sum[column, _LOG] += log_ratio
+        if math.isnan(self._begun_t):
+            self._begun_t = t
 
     def _add_size(self, mates: Compared, along: Array, rho: float) -> None:
         """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.
@@ -326,7 +339,7 @@ class TrackEvidence:
         age = t - (newest if math.isfinite(newest) else self._begun_t)
         is_back = missed > SEGMENT_MISSED_S and age > SEGMENT_AFTER_MISS_S
         if age >= SEGMENT_LEAST_S or is_back:
-            log_handover = math.log(min(self._hazard, HANDOVER_MOST))
+            log_handover = math.log(min(max(self._hazard, HANDOVER_LEAST), HANDOVER_MOST))
             self._hazard = 0.0
             self.begin_segment(t, log_handover, self.whole.copy())
 

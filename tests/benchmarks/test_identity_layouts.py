@@ -21,7 +21,7 @@ from swarmtrack.benchmarks.identity.experiment import (
     play,
     scores,
 )
-from swarmtrack.identity.posterior import PRIOR
+from swarmtrack.benchmarks.identity.one_look import PRIOR
 from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.lab.score.reliability import Stated, reliability_of
 from swarmtrack.tracking.marginals import matching_marginals
@@ -30,9 +30,9 @@ from swarmtrack.tracking.marginals import matching_marginals
 def test_a_layout_is_drawn_the_same_whenever_it_is_drawn():
     cell = Cell(CROWDED, 8, 10.0)
     once, again, other = draw(cell, 3), draw(cell, 3), draw(cell, 4)
-    assert np.array_equal(once.mean, again.mean)
+    assert np.array_equal(once.tracks, again.tracks)
     assert np.array_equal(once.truth, again.truth)
-    assert not np.array_equal(once.predicted.pixel, other.predicted.pixel)
+    assert not np.array_equal(once.projected, other.projected)
 
 
 def test_tracks_and_projections_are_as_far_apart_as_stated():
@@ -40,8 +40,8 @@ def test_tracks_and_projections_are_as_far_apart_as_stated():
     offsets = []
     for k in range(200):
         layout = draw(Cell(COMPLETE, 16, 20.0), k)
-        offsets.append(layout.mean[:, ::2] - layout.predicted.pixel[layout.truth])
-        told = layout.cov[0][::2, ::2] + layout.predicted.cov[0, 0]
+        offsets.append(layout.tracks - layout.projected[layout.truth])
+        told = layout.variance * np.eye(2)
         assert told == pytest.approx(20.0**2 * np.eye(2))
     assert np.std(np.concatenate(offsets)) == pytest.approx(20.0, rel=0.03)
 

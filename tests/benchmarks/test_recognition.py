@@ -47,9 +47,9 @@ def test_an_intruder_is_nobody_of_the_team():
 
 
 def test_motion_proves_the_names_of_a_team_that_tells_how_it_moves():
-    score = recognition.fly("proof", 3, 8.0, "mbm", 1).score
+    score = recognition.fly("proof", 3, 16.0, "mbm", 1).score
     assert score.wrong == 0.0
-    assert score.proved > 0.5
+    assert score.proved > 0.4
     assert fly("hover-triangle", 3, 6.0, 1).score.proved == 0.0
 
 

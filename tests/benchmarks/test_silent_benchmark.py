@@ -16,8 +16,8 @@ def test_nobody_is_called_by_another_s_name(mode, seeds):
         assert max(flight.all_named_s for flight in flights) < 8.0
 
 
-def test_the_joint_posterior_knows_codes_sooner():
-    flight = silent.look(5, silent.MODES[2], "mbm", 2, model="joint")
+def test_codes_name_a_team_within_seconds():
+    flight = silent.look(5, silent.MODES[2], "mbm", 2)
     assert (flight.named, flight.wrong) == (5, 0)
     assert flight.all_named_s < 5.0
 

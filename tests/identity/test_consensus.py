@@ -1,11 +1,11 @@
-"""Do two observers mean the same drone? Rays that meet or miss, and who of the two yields."""
+"""Do two observers mean the same drone? Rays that meet or miss."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from swarmtrack.identity.consensus import MEMORY_S, SIMULTANEOUS, VOTE_S, VOTING_S, Consensus, OwnView
+from swarmtrack.identity.consensus import MEMORY_S, SIMULTANEOUS, Consensus, OwnView
 from swarmtrack.messages import Sighting, SightingReport
 
 NORTH, EAST, DOWN = np.eye(3)
@@ -35,15 +35,6 @@ def judge(ours, theirs):
     consensus = Consensus()
     consensus.remember(ours)
     return consensus, consensus.compare(theirs)
-
-
-def hear(ours, *theirs, consensus=None):
-    """What is found of each report when all are repeated once everybody had time to speak."""
-    consensus = consensus or Consensus()
-    for late in (0.0, VOTING_S):
-        consensus.remember(replace(ours, t=ours.t + late))
-        found = [consensus.compare(replace(one, t=one.t + late)) for one in theirs]
-    return found
 
 
 def test_rays_that_meet_agree():
@@ -104,89 +95,8 @@ def test_a_drone_that_says_it_stands_elsewhere_is_not_the_one_seen():
     """Observer 1 calls a track drone 2; drone 2 itself says where it stands, and knows best."""
     mistaken = own_view(sighting(2, HERE, THERE + 6.0 * NORTH, probability=0.99999))
     (found,) = judge(mistaken, report())[1]
-    assert (found.observer, found.drone_id, found.overruled) == (2, 2, True)
+    assert (found.observer, found.drone_id) == (2, 2)
     assert judge(own_view(sighting(2, HERE, THERE)), report())[1] == []
-
-
-def test_of_two_observers_the_less_certain_one_yields_and_only_it():
-    """Both hear of the other: 1 is nearly sure that drone 3 is there, 2 only rather."""
-    sure, rather = 0.9995, 0.97
-    ((of_1,),) = hear(
-        own_view(sighting(3, HERE, TARGET, sure)),
-        report(sighting(3, THERE, ELSEWHERE, rather)),
-    )
-    ((of_2,),) = hear(
-        own_view(sighting(3, THERE, ELSEWHERE, rather), position=THERE),
-        report(sighting(3, HERE, TARGET, sure), observer=1, position=HERE),
-    )
-    assert (of_1.overruled, of_2.overruled) == (False, True)
-
-
-def test_of_two_that_are_equally_certain_both_yield():
-    ((of_1,),) = hear(own_view(sighting(3, HERE, TARGET)), report(sighting(3, THERE, ELSEWHERE)))
-    assert of_1.overruled
-
-
-def test_an_observer_that_is_outvoted_yields_and_one_that_is_supported_does_not():
-    ours = own_view(sighting(3, HERE, TARGET, 0.995))
-    against = report(sighting(3, THERE, ELSEWHERE, 0.99), observer=2)
-    ((alone,),) = hear(ours, against)
-    assert not alone.overruled  # one against one, and ours is the surer
-    _, (outvoting,) = hear(
-        ours, against, report(sighting(3, ABOVE, ELSEWHERE, 0.9), observer=4, position=ABOVE)
-    )
-    assert outvoting.overruled
-
-    ours = own_view(sighting(3, HERE, TARGET, 0.97))
-    supporting = report(sighting(3, ABOVE, TARGET, 0.97), observer=4, position=ABOVE)
-    agreed, (kept,) = hear(ours, supporting, against)
-    assert agreed == []
-    assert not kept.overruled
-    ((alone,),) = hear(ours, against)
-    assert alone.overruled
-
-
-def test_who_supported_another_hypothesis_says_nothing_of_a_new_one():
-    ours = own_view(sighting(3, HERE, TARGET, 0.97))
-    against = report(sighting(3, THERE, ELSEWHERE, 0.99))
-    consensus = Consensus()
-    hear(ours, report(sighting(3, ABOVE, TARGET, 0.97), observer=4, position=ABOVE), consensus=consensus)
-    consensus.forget(3)
-    # Nothing is compared of the view that was given up.
-    assert hear(ours, against, consensus=consensus) == [[]]
-    ((found,),) = hear(replace(ours, t=13.0), replace(against, t=13.0), consensus=consensus)
-    assert found.overruled
-
-
-def test_an_observer_has_one_vote_however_often_it_speaks():
-    consensus = Consensus()
-    for t in np.arange(10.0, 14.0, 0.2):
-        consensus.remember(own_view(sighting(3, HERE, TARGET, 0.995), t=t))
-        (found,) = consensus.compare(report(sighting(3, THERE, ELSEWHERE, 0.97), t=t))
-        assert not found.overruled
-
-
-def test_a_vote_of_long_ago_no_longer_counts():
-    consensus = Consensus()
-    ours = own_view(sighting(3, HERE, TARGET, 0.97))
-    hear(ours, report(sighting(3, ABOVE, TARGET, 0.99), observer=4, position=ABOVE), consensus=consensus)
-    later = 10.0 + VOTING_S + VOTE_S + 0.1
-    against = report(sighting(3, THERE, ELSEWHERE, 0.99), t=later)
-    ((found,),) = hear(own_view(sighting(3, HERE, TARGET, 0.97), t=later), against, consensus=consensus)
-    assert found.overruled
-
-
-@pytest.mark.parametrize(("ahead", "t_sigma"), [(0.0, 0.0), (0.7, 0.45), (4.0, 4.0)])
-def test_one_liar_that_speaks_first_and_often_takes_nobody_s_name(ahead, t_sigma):
-    """Ten times a second, whatever time it states; drone 3 tells where it is only once a second, and later."""
-    consensus = Consensus()
-    for k in range(100):
-        t = 10.0 + 0.1 * k
-        consensus.remember(own_view(sighting(3, HERE, TARGET), t=t))
-        lie = report(sighting(3, THERE, ELSEWHERE, 1.0), t=t + ahead, t_sigma=t_sigma)
-        assert not any(found.overruled for found in consensus.compare(lie))
-        if k % 10 == 9:
-            assert consensus.compare(report(t=t, observer=3, position=TARGET)) == []
 
 
 @pytest.mark.parametrize("vague", [{"t_sigma": 1e9}, {"position_sigma": 1e7}, {"sigma": 3.0}])

@@ -263,15 +263,13 @@ async def test_disputes_and_departures_are_told_with_their_severity(tmp_path):
         told.notices.on_peer(PeerDeparted(3, "0000000a"))
         told.notices.on_peer(IdClash(2, ("0000000a", "0000000b"), ours=False))
         told.notices.on_peer(IdClash(1, ("0000000a", "0000000b"), ours=True))
-        told.notices.on_disagreement(Disagreement(3, 2, 4.0, overruled=False))
-        told.notices.on_disagreement(Disagreement(3, 2, 4.0, overruled=True))
+        told.notices.on_disagreement(Disagreement(3, 2, 4.0))
         told.fly(12.0)
     assert told.ground.texts[1:] == [
         (common.MAV_SEVERITY_WARNING, "swarmtrack: drone 3 is gone"),
         (common.MAV_SEVERITY_WARNING, "swarmtrack: two agents are drone 2"),
         (common.MAV_SEVERITY_ERROR, "swarmtrack: another agent is drone 1 too"),
         (common.MAV_SEVERITY_WARNING, "swarmtrack: drone 3 disputes drone 2"),
-        (common.MAV_SEVERITY_WARNING, "swarmtrack: outvoted on drone 2: unknown"),
     ]
     assert all(len(text) <= 50 for _, text in told.ground.texts)
 

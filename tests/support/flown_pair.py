@@ -26,7 +26,7 @@ SWAYING = (
     )
     + "announcement_bytes = 10\n"
 )
-LENGTHS = (9, 48)  # s: the longer one where the machine is busy
+LENGTHS = (14, 48)  # s: the longer one where the machine is busy
 
 
 class FlownPair(NamedTuple):

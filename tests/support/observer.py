@@ -7,11 +7,12 @@ import numpy as np
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import NO_NEWS, Identities
+from swarmtrack.identity.news import NO_NEWS
+from swarmtrack.identity.paper import PaperIdentities
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.messages import Announcement, MotionReport, SightingReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
-from swarmtrack.team.joint_identities import JointIdentities
+from swarmtrack.team.identities import Identities
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
 FORWARD = Pose(rotation.BODY_FROM_FORWARD_CAMERA, np.zeros(3))
@@ -36,11 +37,11 @@ class Observer:
     """Drone 1: it hears announcements, and its tracks are what a test says."""
 
     def __init__(self, cameras=(FORWARD,), lens=CAMERA, **parameters):
-        made = JointIdentities if parameters.get("model") == "joint" else Identities
-        self.identities = made(
-            1,
-            cameras=[(lens, pose) for pose in cameras],
-            parameters=IdentityParameters(**parameters),
+        lenses = [(lens, pose) for pose in cameras]
+        self.identities = (
+            PaperIdentities(1, cameras=lenses)
+            if parameters.get("profile") == "paper"
+            else Identities(1, cameras=lenses, parameters=IdentityParameters(**parameters))
         )
         self.t = 0.0
         self.attitude = np.eye(3)

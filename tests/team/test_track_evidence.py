@@ -19,7 +19,9 @@ def add(track, t, chance, *, is_near=True):
     ones = np.ones(MATES)
     deviation = Deviation(0.1 * ones, 0.5 * ones, 0.01 * ones)
     near = np.full(MATES, is_near)
-    mates = Compared(np.arange(MATES), places, deviation, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near)
+    mates = Compared(
+        np.arange(MATES), places, deviation, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near, 0.0 * ones
+    )
     track.add(bearing, mates, np.zeros(3))
 
 

@@ -1,4 +1,4 @@
-"""Who keeps an ID, who loses it, who is asked, and who is a stranger: no tracker, tracks are put by hand."""
+"""Names that tracks have got: how they are kept, asked for, withheld and reported; tracks are put by hand."""
 
 import math
 
@@ -8,25 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from support.observer import FORWARD, LEFT, MIDDLE, RIGHT, RIGHTWARD, SCAN_S, Observer, shifted
-from swarmtrack.geometry.camera import Equidistant, PinholeCamera
-from swarmtrack.identity.pose_requests import PoseRequests
-from swarmtrack.identity.posterior import PRIOR
-from swarmtrack.identity.teammates import DEPARTED_S
 from swarmtrack.messages import FOREIGN, IdClash, PeerArrived, PeerDeparted, PeerExpelled
 
 # --- given ---
-
-
-def test_a_drone_is_named_where_it_said_it_is_once_its_track_is_confirmed_and_seen_thrice(observer):
-    assert observer.sees(2 * SCAN_S, a=LEFT, b=RIGHT) == {"a": None, "b": None}
-    assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
-
-
-def test_a_weak_look_alike_is_vouched_for_where_a_drone_should_be_and_named_once_it_is_confirmed(observer):
-    away = (320.0, 40.0)
-    assert observer.sees(1.0, tentative="abc", a=LEFT, b=RIGHT, c=away) == {"a": None, "b": None, "c": None}
-    assert observer.news.vouched == (1, 2)
-    assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
 
 def test_its_own_announcement_and_one_heard_before_change_nothing(observer):
@@ -50,12 +34,6 @@ def test_algorithm_1_looks_once_more_when_a_drone_announces_itself_again():
     paper.hears(2, RIGHT, sequence=2)
     paper.hears(4, LEFT)
     assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 4, "b": 3}
-
-
-def test_of_two_tracks_at_one_drone_neither_is_it_until_one_fits_better(observer):
-    above, below = shifted(LEFT, down=-6), shifted(LEFT, down=6)
-    assert observer.sees(1.0, a=above, b=below, c=RIGHT) == {"a": None, "b": None, "c": 3}
-    assert observer.sees(3.0, a=LEFT, b=shifted(LEFT, down=150), c=RIGHT)["a"] == 2
 
 
 # --- kept ---
@@ -140,29 +118,6 @@ def test_a_new_boot_elsewhere_withdraws_an_id(observer):
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}
 
 
-def test_two_ids_that_both_drones_contradict_change_places(observer):
-    observer.sees(1.0, a=LEFT, b=RIGHT)
-    observer.hears(2, RIGHT, sequence=2)
-    observer.hears(3, LEFT, sequence=2)
-    assert observer.sees(2.0, a=LEFT, b=RIGHT) == {"a": 3, "b": 2}
-
-
-def test_who_met_unseen_are_both_asked_and_change_places_if_they_say_so(observer):
-    """Drones 2 and 3 meet, there is one box for both, they part: nobody could see which of them went where."""
-    observer.sees(1.0, a=LEFT, b=RIGHT)
-    for step in range(15):
-        observer.sees(SCAN_S, a=shifted(LEFT, right=10.0 * step), b=shifted(RIGHT, right=-10.0 * step))
-    observer.sees(0.6, coasting="a", a=MIDDLE, b=MIDDLE)
-    observer.wanted.clear()
-    names = observer.sees(SCAN_S, a=shifted(MIDDLE, right=-12.0), b=shifted(MIDDLE, right=12.0))
-    assert names["a"] is None
-    assert {drone for _, drone in observer.wanted} == {2, 3}
-    crossed = {"a": shifted(MIDDLE, right=-30.0), "b": shifted(MIDDLE, right=30.0)}
-    observer.hears(2, crossed["b"], sequence=2)
-    observer.hears(3, crossed["a"], sequence=2)
-    assert observer.sees(2.0, **crossed) == {"a": 3, "b": 2}
-
-
 # --- withheld while two speak as one ---
 
 
@@ -243,18 +198,6 @@ def _is_told_and_sees(observer, seconds, place, **tracks):
     return names
 
 
-def test_a_stranger_is_no_teammate_that_was_known_to_be_elsewhere(beside_a_stranger):
-    assert _is_told_and_sees(beside_a_stranger, 9.0, THERE)["c"] is None
-
-
-def test_after_ten_seconds_it_may_be_that_teammate_all_the_same(beside_a_stranger):
-    assert _is_told_and_sees(beside_a_stranger, 12.0, THERE)["c"] == 4
-
-
-def test_a_new_track_there_is_that_teammate(beside_a_stranger):
-    assert _is_told_and_sees(beside_a_stranger, 2.0, THERE, d=THERE)["d"] == 4
-
-
 def test_of_a_drone_that_was_wrong_itself_a_stranger_may_be_a_teammate(beside_a_stranger):
     beside_a_stranger.identities.lose_place()
     assert _is_told_and_sees(beside_a_stranger, 2.0, THERE)["c"] == 4
@@ -283,56 +226,9 @@ def test_drones_that_cannot_be_told_apart_are_asked_to_announce_themselves_more_
         assert pauses == pytest.approx([3.0 * 2.0**k for k in range(len(pauses))], abs=2.0 * SCAN_S)
 
 
-def test_whoever_is_asked_in_vain_is_asked_again_within_a_minute_however_long_it_takes():
-    requests, asked = PoseRequests(), []
-    for second in range(3600):
-        requests.ask(2, float(second))
-        asked += [second for _ in requests.of_this_scan()]
-    assert 60 < len(asked) < 120
-    assert np.diff(asked).max() < 60
-
-
-def test_whoever_answers_is_named_and_not_asked_again():
-    observer = Observer()
-    observer.hears(2, LEFT)
-    observer.hears(3, shifted(LEFT, right=2.0))
-    observer.sees(2.0, a=LEFT, b=shifted(LEFT, right=3.0))
-    for step in range(20):
-        observer.sees(SCAN_S, a=LEFT, b=shifted(LEFT, right=3.0 + 3.0 * step))
-    observer.hears(2, LEFT, sequence=2)
-    observer.hears(3, shifted(LEFT, right=60.0), sequence=2)
-    assert observer.sees(1.0, a=LEFT, b=shifted(LEFT, right=60.0)) == {"a": 2, "b": 3}
-    observer.wanted.clear()
-    observer.sees(20.0, a=LEFT, b=shifted(LEFT, right=60.0))
-    assert observer.wanted == []
-
-
 def test_where_all_is_clear_nobody_is_asked(observer):
     observer.sees(20.0, a=LEFT, b=RIGHT)
     assert observer.wanted == []
-
-
-def test_a_drone_that_others_overrule_should_announce_itself_again_and_is_asked_once(observer):
-    assert observer.identities.overrule(2, observer.t)
-    observer.sees(SCAN_S, a=LEFT, b=RIGHT)
-    assert observer.wanted == []
-
-
-def test_whom_others_overruled_is_not_named_again_before_it_is_heard(observer):
-    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
-    observer.identities.overrule(2, observer.t)
-    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": None, "b": 3}
-    observer.hears(2, LEFT, sequence=2)
-    assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
-
-
-def test_a_drone_long_gone_is_no_excuse_for_a_stranger(observer):
-    stranger = shifted(LEFT, right=60.0)
-    observer.sees(20.0, b=RIGHT)
-    assert observer.sees(6.0, b=RIGHT, c=stranger)["c"] is None  # it may be drone 2, which flew off
-    observer.identities.on_membership(PeerDeparted(2, "0000000a"))
-    observer.sees(DEPARTED_S, b=RIGHT)
-    assert observer.sees(6.0, b=RIGHT, c=stranger)["c"] == FOREIGN
 
 
 # --- whatever happens ---
@@ -342,7 +238,7 @@ BOOTS = ("0000000a", "0000000b", "0000000c")
 STEPS = st.one_of(
     st.tuples(st.just("hears"), st.integers(1, 5), PLACES, st.booleans()),
     st.tuples(st.sampled_from(["arrives", "departs"]), st.integers(2, 5), st.sampled_from(BOOTS)),
-    st.tuples(st.sampled_from(["clashes", "is overruled"]), st.integers(2, 5)),
+    st.tuples(st.just("clashes"), st.integers(2, 5)),
     st.tuples(st.just("goes"), st.sampled_from("abcdef"), PLACES),
     st.tuples(st.just("ends"), st.sampled_from("abcdef")),
     st.tuples(st.just("hides"), st.sampled_from("abcdef")),
@@ -383,8 +279,6 @@ def test_whatever_happens_nobody_holds_an_id_twice_nor_one_that_several_speak_as
             case ("clashes", drone):
                 observer.identities.on_membership(IdClash(drone, BOOTS, ours=False))
                 clashing[drone] = set(BOOTS)
-            case ("is overruled", drone):
-                observer.identities.overrule(drone, observer.t)
 
 
 def test_who_is_no_member_any_more_has_no_name_and_is_forgotten(observer):
@@ -407,33 +301,6 @@ def two_cameras():
         observer.sees(SCAN_S, camera=1, elsewhere="a", a=LEFT, b=MIDDLE)
     assert observer.names() == {"a": 2, "b": 3}
     return observer
-
-
-def scenes_of(observer):
-    """What each of its cameras has learned of how surely it sees whom."""
-    return [eye.scene for eye in observer.identities._weighing._eyes]
-
-
-def test_a_drone_that_another_camera_sees_tells_nothing_of_how_surely_this_one_sees_whom_it_shows():
-    observer = two_cameras()
-    ahead, aside = scenes_of(observer)
-    assert ahead.seen(2) > PRIOR.p_seen
-    assert aside.seen(3) > PRIOR.p_seen
-    assert ahead.seen(3) == aside.seen(2) == PRIOR.p_seen
-
-
-def test_a_drone_beyond_the_reach_of_a_fisheye_is_not_missed_in_its_corners():
-    lens = PinholeCamera(193.0, 193.0, 399.5, 399.5, 800, 800, Equidistant((0.0, 0.0, 0.0, 0.0)))
-    observer = Observer(lens=lens)
-    off = np.radians([20.0, 125.0])
-    diagonal = np.column_stack([np.sin(off) / math.sqrt(2.0), np.sin(off) / math.sqrt(2.0), np.cos(off)])
-    shown, _ = lens.project_undistorted(8.0 * diagonal)[0]
-    for drone, direction in zip((2, 3), diagonal, strict=True):
-        observer.hears_at(drone, FORWARD.transform(8.0 * direction))
-    assert observer.sees(10.0, a=tuple(shown)) == {"a": 2}
-    (scene,) = scenes_of(observer)
-    assert scene.seen(2) > PRIOR.p_seen
-    assert scene.seen(3) == PRIOR.p_seen
 
 
 def test_a_drone_that_this_camera_has_just_missed_is_not_reported_as_seen():

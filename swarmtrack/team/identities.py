@@ -1,4 +1,4 @@
-"""Identities from one posterior of the whole team, with the interface of `Identities`.
+"""Which track is which teammate, from one posterior of the whole team.
 
 A track gets a name once its teammate is likely enough, and keeps it while that teammate is likelier than not. It is
 foreign once it has been unlikely to be any teammate for a while. There are no other states: all evidence against a name
@@ -14,10 +14,9 @@ import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.identity.identities import RECENT_S, IdentityNews
+from swarmtrack.identity.news import Astray, IdentityNews
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
-from swarmtrack.identity.proof import LASTS_S, Astray, proof_after
 from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, rays_to, seen_from
 from swarmtrack.identity.teammates import Teammates
 from swarmtrack.messages import (
@@ -34,7 +33,6 @@ from swarmtrack.messages import (
     TrackStatus,
 )
 from swarmtrack.motion.ego import TeamPose
-from swarmtrack.relative.alignment import FrameTransform
 from swarmtrack.team.mixture import OwnKnowledge
 from swarmtrack.team.posterior import BearingScan, TeamPosterior
 from swarmtrack.team.priors import (
@@ -54,10 +52,15 @@ from swarmtrack.team.priors import (
     P_STRANGER,
     SMALLEST_BOX_PX,
 )
+from swarmtrack.team.proof import PROOF_LASTS_S, proof_after
 from swarmtrack.team.track_evidence import Bearing
 
+# s: what another camera saw so shortly before or after is part of what this drone sees now, until that camera looks
+# again.
+_RECENT_S = 1.0
 
-class JointIdentities:
+
+class Identities:
     """Announced poses, and the IDs that tracks have."""
 
     def __init__(
@@ -68,7 +71,8 @@ class JointIdentities:
         parameters: IdentityParameters,
         start_sigma_m: float = 0.0,
     ) -> None:
-        """As `Identities`."""
+        """cameras: of each its lens and body_from_camera. start_sigma_m: how well this drone knows where it starts, m
+        per axis, beside its autopilot's sigma."""
         self.self_doubt = False
         """Whether this drone says that its own start or heading is wrong."""
         self._cameras = tuple(cameras)
@@ -91,6 +95,8 @@ class JointIdentities:
         """By track and drone: names, by motion alone."""
         self._astray: set[int] = set()
         """The drones of which was said that they are elsewhere than they say."""
+        self._unnamed: dict[int, int] = {}
+        """By track that has lost its name: which drone it was."""
 
     @property
     def fault(self) -> OwnFault | None:
@@ -130,9 +136,6 @@ class JointIdentities:
             mate.report(report)
             self._teammates.whereabouts.report(report)
 
-    def align(self, drone_id: int, frame: FrameTransform | None) -> None:
-        """Frames are part of the posterior: what another estimator makes of them is not asked."""
-
     def on_motion(self, report: MotionReport) -> None:
         """A teammate says how it moves."""
         mate = self._posterior.teammates.get(report.drone_id)
@@ -150,10 +153,6 @@ class JointIdentities:
         for drone in self._posterior.teammates.keys() - self._teammates.announced.keys():
             self._posterior.expel(drone)
         self._names = {id: name for id, name in self._names.items() if name[0] in self._posterior.teammates}
-
-    def overrule(self, drone_id: int, t: float) -> bool:
-        """Others see it elsewhere. Returns whether it should announce its pose again."""
-        return False
 
     # --- what this drone sees ---
 
@@ -198,7 +197,8 @@ class JointIdentities:
             for id, track in self._alive.items()
             if track.status is TrackStatus.TENTATIVE and id in self._names
         )
-        return IdentityNews(vouched, self._find_astray(t), self._pose_requests.of_this_scan())
+        astray = *self._find_astray(t), *self._find_impostors(t)
+        return IdentityNews(vouched, astray, self._pose_requests.of_this_scan())
 
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
@@ -214,7 +214,7 @@ class JointIdentities:
             p = self._names[id][1] * self._alive[id].probability
             if self._alive[id].camera == self._view.number:
                 found += [(ray, p)] if ray.t == t else []
-            elif abs(ray.t - t) <= RECENT_S and ray.t >= self._looked.get(self._alive[id].camera, -math.inf):
+            elif abs(ray.t - t) <= _RECENT_S and ray.t >= self._looked.get(self._alive[id].camera, -math.inf):
                 place = self._teammates.whereabouts.latest(ray.drone_id).position
                 found.append((seen_from(ray, place, self._view), p))
         return found
@@ -232,6 +232,12 @@ class JointIdentities:
                 names[id] = drone, min(p, P_NAME_MOST)
             if named.p_none >= P_STRANGER:
                 since[id] = self._strange_since.get(id, t)
+        lost = {id: drone for id, (drone, _) in self._names.items() if id not in names}
+        self._unnamed = {
+            id: drone
+            for id, drone in (self._unnamed | lost).items()
+            if id in self._alive and id not in names and drone in self._posterior.teammates
+        }
         self._names, self._strange_since = names, since
 
     def _prove(self, t: float) -> None:
@@ -250,13 +256,28 @@ class JointIdentities:
             return ()
         for (id, drone), proof in self._proofs.items():
             is_shown = self._alive[id].t == t and self._alive[id].coasting_since is None
-            if drone in self._astray or not is_shown or t - proof.since < LASTS_S:
+            if drone in self._astray or not is_shown or t - proof.since < PROOF_LASTS_S:
                 continue
             miss = self._posterior.miss_m(id, t)
             if miss is not None:
                 self._astray.add(drone)
                 found.append(Astray(drone, id, miss))
         return tuple(found)
+
+    def _find_impostors(self, t: float) -> tuple[Astray, ...]:
+        """The tracks that had a name and are nobody by now, once for each drone. Of a team that is not where it says,
+        as far as this drone can tell, nothing is said."""
+        if self._posterior.p_fault > P_FAULT_SILENT:
+            return ()
+        found = tuple(
+            Astray(drone, id, None)
+            for id, drone in self._unnamed.items()
+            if drone not in self._astray
+            and id in self._posterior.named
+            and self._posterior.named[id].p_none >= P_STRANGER
+        )
+        self._astray |= {astray.drone_id for astray in found}
+        return found
 
     def _ask(self, t: float) -> None:
         """Ask those that a track may be which has no name for a while, where they are."""

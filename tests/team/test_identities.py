@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 
 from support.observer import LEFT, MIDDLE, RIGHT, SCAN_S, Observer, at, shifted
 from swarmtrack.geometry import rotation
-from swarmtrack.identity.identities import Identities
 from swarmtrack.messages import FOREIGN, IdClash, PeerDeparted, PeerExpelled
-from swarmtrack.team.joint_identities import JointIdentities
 
 NAMED = {"a": 2, "b": 3}
 PIXELS = st.tuples(st.floats(0.0, 640.0), st.floats(0.0, 480.0))
@@ -32,15 +30,10 @@ STEPS = st.one_of(
 
 @pytest.fixture
 def observer():
-    made = Observer(model="joint")
+    made = Observer()
     made.hears(2, LEFT)
     made.hears(3, RIGHT)
     return made
-
-
-def test_both_models_have_one_face():
-    public = {name for name in vars(Identities) if not name.startswith("_")}
-    assert public - {"self_doubt"} <= set(vars(JointIdentities))
 
 
 def test_drones_are_named_where_they_said_they_are(observer):
@@ -55,14 +48,14 @@ def test_what_place_alone_says_is_no_certainty(observer):
 
 
 def test_a_track_where_nobody_should_be_is_a_stranger_after_a_while():
-    observer = Observer(model="joint")
+    observer = Observer()
     observer.hears(2, LEFT)
     assert observer.sees(0.5, a=LEFT, b=shifted(RIGHT, down=-150)) == {"a": 2, "b": None}
     assert observer.sees(3.5, a=LEFT, b=shifted(RIGHT, down=-150)) == {"a": 2, "b": FOREIGN}
 
 
 def test_before_anybody_has_announced_itself_nobody_is_anything():
-    assert Observer(model="joint").sees(5.0, a=LEFT, b=RIGHT) == {"a": None, "b": None}
+    assert Observer().sees(5.0, a=LEFT, b=RIGHT) == {"a": None, "b": None}
 
 
 def test_a_teammate_that_is_not_confirmed_yet_is_vouched_for(observer):
@@ -96,7 +89,7 @@ def test_a_drone_that_starts_again_elsewhere_is_named_there(observer):
 
 
 def test_of_a_nameless_track_the_likeliest_are_asked_for_their_pose():
-    observer = Observer(model="joint")
+    observer = Observer()
     observer.hears(2, LEFT)
     observer.hears(3, LEFT)
     observer.sees(4.0, a=LEFT)
@@ -118,7 +111,7 @@ def test_names_are_found_again_after_the_place_was_lost(observer):
 
 
 def test_a_stranger_that_is_asked_for_while_the_place_is_lost_is_unknown():
-    observer = Observer(model="joint")
+    observer = Observer()
     observer.hears(2, LEFT)
     assert observer.sees(4.0, a=LEFT, b=shifted(RIGHT, down=-150))["b"] == FOREIGN
     observer.identities.lose_place()
@@ -126,7 +119,7 @@ def test_a_stranger_that_is_asked_for_while_the_place_is_lost_is_unknown():
 
 
 def test_nobody_s_start_is_no_reason_to_doubt_the_own():
-    observer = Observer(model="joint")
+    observer = Observer()
     for drone in (2, 3, 4):
         observer.hears_at(drone, np.zeros(3), sigma=1e4)
     observer.sees(3.0, a=LEFT, b=RIGHT)
@@ -177,7 +170,7 @@ def test_a_teammate_that_says_it_is_far_away_takes_no_name_from_the_others(obser
 @given(st.lists(STEPS, max_size=30))
 @settings(max_examples=40, deadline=None)
 def test_whatever_happens_no_id_is_held_twice(steps):
-    observer = Observer(model="joint")
+    observer = Observer()
     tracks = {}
     for what, *values in steps:
         match what, values:
@@ -233,7 +226,7 @@ def test_tracks_are_other_things_after_a_turn_that_nobody_measured(observer):
 
 
 def test_a_compass_that_is_off_is_found_by_how_the_others_move():
-    observer = Observer(model="joint")
+    observer = Observer()
     off = math.radians(40.0)
     places = {2: np.array([8.0, -3.0, 0.0]), 3: np.array([9.0, 3.0, -1.0])}
     observer.attitude = rotation.from_euler(0.0, 0.0, off)
