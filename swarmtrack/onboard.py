@@ -235,7 +235,7 @@ class Onboard:
 
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None:
         """Whom this drone saw in its last scan; None where it does not know where it stands."""
-        view, known = self._view, self._identities.announced
+        view, known = self._view, self._identities.teammates.announced
         return None if view is None else view.report(self._drone_id, boot, sequence, known)
 
     def motion_report(self, boot: str, sequence: int) -> MotionReport | None:
@@ -282,7 +282,7 @@ class Onboard:
         return self._flight.at(
             pose,
             scan_ages=self._stuck.ages(now),
-            clash=self._identities.has_own_clash,
+            clash=bool(self._identities.teammates.own_clash),
             doubted=self.self_doubt or self._ego.heading.doubt > 0.0,
             height_sights=self._metres.height_sights,
         )
@@ -305,7 +305,7 @@ class Onboard:
     @property
     def teammates(self) -> dict[int, Announcement]:
         """The latest announcement of every teammate."""
-        return self._identities.announced
+        return dict(self._identities.teammates.announced)
 
     @property
     def part_counters(self) -> dict[str, int]:

@@ -36,7 +36,6 @@ class Counters:
     scans: int = 0
     detections: int = 0
     announcements_refused: int = 0
-    """Given up because other observers see that drone elsewhere."""
 
 
 class ClockView(Protocol):

@@ -30,8 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from swarmtrack.benchmarks.identity.one_look import PRIOR, Prior, log_ratios, nearest
+from swarmtrack.benchmarks.identity.one_look import PRIOR, Prior, log_ratios
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.identity.paper import nearest
 from swarmtrack.lab.score.intervals import Interval, fraction_interval
 from swarmtrack.lab.score.reliability import Reliability, Stated
 from swarmtrack.messages import Array

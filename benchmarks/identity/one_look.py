@@ -1,4 +1,4 @@
-"""Who is who by one look: the paper's Algorithm 1, and the posterior over all one-to-one matchings.
+"""Who is who by one look: log ratios for the posterior over all one-to-one matchings.
 
 Strangers are a Poisson process, uniform over the image. Nobody's density is thinner than that of a drone which is in
 view with probability `IN_VIEW`, and anywhere in it.
@@ -48,9 +48,3 @@ def log_ratios(
     log_extent = min(LOG_TWO_PI + math.log(variance), log_area - math.log(IN_VIEW))
     log_density = np.where(distance > gate_threshold(GATE_PROBABILITY), -np.inf, -0.5 * distance - log_extent)
     return np.asarray(log_density + log_area + prior.log_ratio)
-
-
-def nearest(tracks: Array, projected: Array) -> list[int]:
-    """Algorithm 1 as printed: of each track the nearest projection, twice the same if so it falls."""
-    columns: list[int] = np.linalg.norm(tracks[:, None] - projected, axis=2).argmin(axis=1).tolist()
-    return columns

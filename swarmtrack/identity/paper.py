@@ -39,7 +39,7 @@ class PaperIdentities:
     def __init__(self, drone_id: int, *, cameras: Sequence[tuple[PinholeCamera, Pose]]) -> None:
         """cameras: of each its lens and body_from_camera."""
         self._cameras = tuple(cameras)
-        self._teammates = Teammates(drone_id)
+        self.teammates = Teammates(drone_id)
         self._names: dict[int, int] = {}
         """By track."""
         self._settled: set[int] = set()
@@ -47,28 +47,20 @@ class PaperIdentities:
         self._seen: list[LastSeen] = []
         """Of the last scan."""
 
-    @property
-    def has_own_clash(self) -> bool:
-        """Whether another process uses this drone's ID."""
-        return bool(self._teammates.own_clash)
-
-    @property
-    def announced(self) -> dict[int, Announcement]:
-        """The latest announcement of every teammate."""
-        return dict(self._teammates.announced)
-
     def announce(self, announcement: Announcement) -> bool:
         """Take in a teammate's pose. Returns False for our own ID, or for one that is not newer."""
-        if not self._teammates.is_news(announcement):
+        if not self.teammates.is_news(announcement):
             return False
-        self._teammates.announce(announcement)
+        self.teammates.announce(announcement)
         self._settled -= {track for track, drone in self._names.items() if drone == announcement.drone_id}
         return True
 
     def on_membership(self, event: Membership) -> None:
         """Membership changes. While two processes use one ID, no track has it."""
-        self._teammates.on_membership(event)
-        self._names = {track: drone for track, drone in self._names.items() if drone in self.announced}
+        self.teammates.on_membership(event)
+        self._names = {
+            track: drone for track, drone in self._names.items() if drone in self.teammates.announced
+        }
         self._settled &= self._names.keys()
 
     def agree(self, motion: AgreedMotion) -> None:
@@ -93,9 +85,11 @@ class PaperIdentities:
         """Match the tracks of a scan of a camera that have no ID, or whose drone has announced itself again."""
         view = ObserverCamera.of(observer, *self._cameras[camera], camera)
         alive = {track.id: track for track in tracks}
-        self._teammates.forget(observer.t, set(self._names.values()))
+        self.teammates.forget(observer.t, set(self._names.values()))
         self._names = {
-            id: drone for id, drone in self._names.items() if id in alive and drone in self.announced
+            id: drone
+            for id, drone in self._names.items()
+            if id in alive and drone in self.teammates.announced
         }
         self._settled &= self._names.keys()
         shown = [
@@ -106,10 +100,12 @@ class PaperIdentities:
             and track.coasting_since is None
         ]
         undecided = [track for track in shown if track.id not in self._settled]
-        pixels = np.array([track.mean[::2] for track in undecided]).reshape(-1, 2)
-        found = nearest(pixels, list(self.announced.values()), view)
-        self._names |= {undecided[row].id: drone for row, drone in found.items()}
-        self._settled |= {undecided[row].id for row in found}
+        drones, projected = _projections(list(self.teammates.announced.values()), view)
+        if undecided and drones:
+            pixels = np.array([track.mean[::2] for track in undecided])
+            found = [drones[column] for column in nearest(pixels, projected)]
+            self._names |= {track.id: drone for track, drone in zip(undecided, found, strict=True)}
+            self._settled |= {track.id for track in undecided}
         self._seen = rays_to([(self._names[t.id], t) for t in shown if t.id in self._names], view)
         return NO_NEWS
 
@@ -127,15 +123,16 @@ class PaperIdentities:
         return [(ray, 1.0) for ray in self._seen if ray.t == t]
 
 
-def nearest(pixels: Array, announced: Sequence[Announcement], view: ObserverCamera) -> dict[int, int]:
-    """By row of pixels (n, 2), undistorted: the ID whose announced place is projected nearest, the same one twice if so
-    it falls. Places behind the camera are none."""
+def nearest(tracks: Array, projected: Array) -> list[int]:
+    """For each track (n, 2) px, the row of the nearest projection (k, 2) px, the same one twice if so it falls."""
+    rows: list[int] = np.linalg.norm(tracks[:, None] - projected, axis=2).argmin(axis=1).tolist()
+    return rows
+
+
+def _projections(announced: Sequence[Announcement], view: ObserverCamera) -> tuple[list[int], Array]:
+    """The drones before the camera, and the pixels (k, 2) of their announced places, undistorted."""
     if not announced:
-        return {}
+        return [], np.zeros((0, 2))
     places = view.team_from_camera.inverse().transform(np.array([each.position for each in announced]))
     projected, _, valid = view.camera.project_undistorted(places)
-    drones = [each.drone_id for each, good in zip(announced, valid, strict=True) if good]
-    if not drones:
-        return {}
-    apart = np.linalg.norm(pixels[:, None] - projected[valid], axis=2)
-    return {row: drones[column] for row, column in enumerate(apart.argmin(axis=1).tolist())}
+    return [each.drone_id for each, good in zip(announced, valid, strict=True) if good], projected[valid]

@@ -77,7 +77,7 @@ class Identities:
         """Whether this drone says that its own start or heading is wrong."""
         self._cameras = tuple(cameras)
         self._parameters = parameters
-        self._teammates = Teammates(drone_id)
+        self.teammates = Teammates(drone_id)
         self._posterior = TeamPosterior(drone_id, cameras=len(cameras), start_sigma_m=start_sigma_m)
         self._pose_requests = PoseRequests()
         self._view: ObserverCamera | None = None
@@ -103,23 +103,13 @@ class Identities:
         """The likeliest fault of this drone's own pose, while it doubts it."""
         return self._posterior.mixture.fault if self.self_doubt else None
 
-    @property
-    def has_own_clash(self) -> bool:
-        """Whether another process uses this drone's ID."""
-        return bool(self._teammates.own_clash)
-
-    @property
-    def announced(self) -> dict[int, Announcement]:
-        """The latest announcement of every teammate."""
-        return dict(self._teammates.announced)
-
     # --- what teammates say ---
 
     def announce(self, announcement: Announcement) -> bool:
         """Take in a teammate's pose. Returns False for our own ID, or for one that is not newer."""
-        if not self._teammates.is_news(announcement):
+        if not self.teammates.is_news(announcement):
             return False
-        self._teammates.announce(announcement)
+        self.teammates.announce(announcement)
         self._posterior.announce(announcement)
         self._astray.discard(announcement.drone_id)
         self._pose_requests.answered(announcement.drone_id)
@@ -132,25 +122,25 @@ class Identities:
     def on_report(self, report: SightingReport) -> None:
         """A teammate says with what it sees where it is."""
         mate = self._posterior.teammates.get(report.observer)
-        if mate is not None and self._teammates.is_heard(report.observer):
+        if mate is not None and self.teammates.is_heard(report.observer):
             mate.report(report)
-            self._teammates.whereabouts.report(report)
+            self.teammates.whereabouts.report(report)
 
     def on_motion(self, report: MotionReport) -> None:
         """A teammate says how it moves."""
         mate = self._posterior.teammates.get(report.drone_id)
-        if mate is not None and self._teammates.is_heard(report.drone_id):
+        if mate is not None and self.teammates.is_heard(report.drone_id):
             mate.move(report)
 
     def on_membership(self, event: Membership) -> None:
         """Membership changes. While two processes use one ID, no track has it."""
-        self._teammates.on_membership(event)
+        self.teammates.on_membership(event)
         self._forget_gone()
 
     def _forget_gone(self) -> None:
         """Of whom no pose is known any more, because two processes speak as it or its process is long gone, there is
         nothing to compare with a track."""
-        for drone in self._posterior.teammates.keys() - self._teammates.announced.keys():
+        for drone in self._posterior.teammates.keys() - self.teammates.announced.keys():
             self._posterior.expel(drone)
         self._names = {id: name for id, name in self._names.items() if name[0] in self._posterior.teammates}
 
@@ -189,7 +179,7 @@ class Identities:
         self._prove(t)
         self._ask(t)
         self._remember_rays(shown, view)
-        self._teammates.forget(t, {drone for drone, _ in self._names.values()})
+        self.teammates.forget(t, {drone for drone, _ in self._names.values()})
         self._forget_gone()
         self._doubt(t)
         vouched = tuple(
@@ -215,7 +205,7 @@ class Identities:
             if self._alive[id].camera == self._view.number:
                 found += [(ray, p)] if ray.t == t else []
             elif abs(ray.t - t) <= _RECENT_S and ray.t >= self._looked.get(self._alive[id].camera, -math.inf):
-                place = self._teammates.whereabouts.latest(ray.drone_id).position
+                place = self.teammates.whereabouts.latest(ray.drone_id).position
                 found.append((seen_from(ray, place, self._view), p))
         return found
 
@@ -293,7 +283,7 @@ class Identities:
             p = self._posterior.named[id].p
             for drone in sorted(p, key=lambda drone: p[drone])[-ASKED_AT_ONCE:]:
                 if p[drone] > P_ASKED:
-                    self._pose_requests.ask_again(self._teammates.whereabouts.latest(drone), t)
+                    self._pose_requests.ask_again(self.teammates.whereabouts.latest(drone), t)
 
     def _remember_rays(self, shown: Sequence[Track], view: ObserverCamera) -> None:
         detected = [track for track in shown if track.coasting_since is None and track.id in self._names]
@@ -324,7 +314,7 @@ class Identities:
 
     def _is_foreign(self, track: Track) -> bool:
         since = self._strange_since.get(track.id)
-        known = bool(self._teammates.announced) and not self._teammates.unlocated and not self.self_doubt
+        known = bool(self.teammates.announced) and not self.teammates.unlocated and not self.self_doubt
         return known and since is not None and track.t - since >= self._parameters.foreign_s
 
 

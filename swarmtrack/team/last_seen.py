@@ -52,8 +52,8 @@ class LastSeenRay(NamedTuple):
             rate_of=self.rate_of._replace(direction=forward @ self.rate_of.direction),
         )
 
-    def log_ratio(self, new: Bearing) -> float:
-        """How much likelier the first bearing of a new track is if it is the teammate, than of a stranger, ln."""
+    def log_density(self, new: Bearing) -> float:
+        """The log density, per sr, of the first bearing of a new track that is the teammate."""
         seen = self.bearing
         age = max(new.t - seen.t, 0.0)
         direction = seen.direction - SEEN_COURSE_S * math.expm1(-age / SEEN_COURSE_S) * self.rate
@@ -62,12 +62,12 @@ class LastSeenRay(NamedTuple):
         course = seen.variance + new.variance + moved**2 + (SEEN_TURN_RAD_S * age) ** 2
         lost = course + (SEEN_LOST_RAD + SEEN_LOST_RAD_S * age) ** 2
         miss2 = float(miss @ miss)
-        on_course, off_course = _over_uniform(miss2, course), _over_uniform(miss2, lost)
+        on_course, off_course = _density(miss2, course), _density(miss2, lost)
         was_it = (1.0 - SHARE_SEEN_LOST) * on_course + SHARE_SEEN_LOST * off_course
-        return math.log(self.p * was_it + 1.0 - self.p)
+        return math.log(self.p * was_it + (1.0 - self.p) / (4.0 * math.pi))
 
 
-def _over_uniform(miss2: float, variance: float) -> float:
-    """Density of a squared miss [rad²] with a variance per axis, over that of any direction."""
+def _density(miss2: float, variance: float) -> float:
+    """Per sr, of a squared miss [rad²] with a variance per axis; at most as wide as all directions."""
     variance = min(variance, 2.0)
-    return 2.0 / variance * math.exp(-0.5 * miss2 / variance)
+    return math.exp(-0.5 * miss2 / variance) / (2.0 * math.pi * variance)

@@ -233,9 +233,9 @@ class TeamPosterior:
         t, number, before = scan.t, scan.camera, self._round[scan.camera]
         if not math.isfinite(self._round[number]):
             self._round[number] = ROUND_S * math.floor(t / ROUND_S)
-        speaking = [mate for mate in self.teammates.values() if mate.speaks(t, REPORT_WAIT_S)]
+        reporting = [mate for mate in self.teammates.values() if mate.goes_on(t)]
         while (due := self._round[number] + ROUND_S) <= t:
-            if due >= t - REPORT_WAIT_S and not all(mate.has_said(due) for mate in speaking):
+            if due >= t - REPORT_WAIT_S and not all(mate.has_said(due) for mate in reporting):
                 break
             self._round[number] = due
             nearest = min(self._scans[number], key=lambda kept: abs(kept.t - due))
@@ -283,19 +283,20 @@ class TeamPosterior:
             if id not in self._tracks:
                 weak = scan.bearings[id].weak
                 self._tracks[id] = TrackEvidence(len(self.teammates), scan.camera, weak=weak)
+            self._expect(id, scan, mates)
             track = self._tracks[id]
-            self._expect(track, scan.bearings[id], mates)
             of = compared.only(knows | ~track.compared[compared.columns])
             track.add(scan.bearings[id], of, scan.bearings[id].camera - self._start)
 
-    def _expect(self, track: TrackEvidence, bearing: Bearing, mates: Collection[Teammate]) -> None:
-        """Compare a new track with where teammates were seen that have said nothing since."""
+    def _expect(self, id: int, scan: BearingScan, mates: Collection[Teammate]) -> None:
+        """Compare a new track with where teammates were seen that have said nothing since, and are not seen now."""
+        track, bearing = self._tracks[id], scan.bearings[id]
         for mate in mates:
             seen = mate.seen
-            if seen is None or track.compared[mate.column] or mate.knows(bearing.t):
+            if seen is None or seen.track in scan.bearings or track.compared[mate.column]:
                 continue
-            if not mate.speaks(seen.bearing.t, 0.0):
-                track.expect(mate.column, seen.log_ratio(bearing), bearing.t)
+            if not mate.knows(bearing.t) and not mate.speaks(seen.bearing.t, 0.0):
+                track.expect(bearing, mate.column, seen.log_density(bearing))
 
     def _remember(self, scan: BearingScan) -> None:
         """Where each teammate is seen."""

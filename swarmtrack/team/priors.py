@@ -91,7 +91,7 @@ BEARING_SIGMA_RAD, CENTRE_SIGMA_PX2 = 4e-3, 1.0
 TRACKED_ERROR_LASTS_S = 0.4
 # What lasts of the own attitude's error.
 ATTITUDE_LASTING_SIGMA_RAD = 0.006
-# Bearings are compared in rounds, those of a motion that is known as often as they say something new.
+# Bearings are compared in rounds, those of an agreed motion as often as they say something new.
 ROUND_S = 0.5
 # A comparison is of bearings at most this far from the round's time.
 ROUND_NEAR_S = 0.2

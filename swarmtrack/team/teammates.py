@@ -15,6 +15,7 @@ from swarmtrack.team.priors import (
     CODED_DEVIATION,
     PLACE_LASTS_S,
     PLANNED_DEVIATION,
+    REPORT_WAIT_S,
     SOMEWHERE_SIGMA_M,
     WAITING_HALF_S,
 )
@@ -131,6 +132,10 @@ class Teammate:
     def speaks(self, t: float, within: float) -> bool:
         """Whether it has said something within so many s before t."""
         return self.path.last.t > t - within
+
+    def goes_on(self, t: float) -> bool:
+        """Whether it reports regularly, so that another report follows within REPORT_WAIT_S."""
+        return self.path.last.velocity is not None and self.speaks(t, REPORT_WAIT_S)
 
     def told(self, t: float) -> Array:
         """(8, 8): what its ended tracks say of its frame at t."""

@@ -173,13 +173,15 @@ class TrackEvidence:
     _at: Array = field(init=False)
     """(n,) s: the last bearing of each."""
     _camera_at: Array = field(init=False)
+    _expected: NDArray[np.bool_] = field(init=False)
+    """(n,): compared with where it was last seen only."""
 
     def __post_init__(self) -> None:
         n, self.n = self.n, 0
         self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), DeviationFilters(0), weight=1.0)]
         self.size, self.size_log = _no_size(0)
         self.strangers = StrangerFilters(0)
-        self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
+        self._at, self._camera_at, self._expected = np.zeros(0), np.zeros((0, 3)), np.zeros(0, bool)
         self.grow(n)
 
     @property
@@ -203,6 +205,7 @@ class TrackEvidence:
         self.size_log = np.concatenate([self.size_log, size_log], axis=1)
         self._at = np.concatenate([self._at, np.full(more, -math.inf)])
         self._camera_at = np.concatenate([self._camera_at, np.zeros((more, 3))])
+        self._expected = np.concatenate([self._expected, np.zeros(more, bool)])
         for segment in self.segments:
             segment.sum = np.concatenate([segment.sum, np.zeros((more, _WIDTH))])
             segment.deviation.grow(n)
@@ -212,7 +215,7 @@ class TrackEvidence:
     def forget(self, column: int) -> None:
         """What was said of a teammate counts no more: it is another life."""
         self.size[:, [column]], self.size_log[:, [column]] = _no_size(1)
-        self._at[column] = -math.inf
+        self._at[column], self._expected[column] = -math.inf, False
         self.strangers.restart(column)
         for segment in self.segments:
             segment.sum[column] = 0.0
@@ -222,6 +225,7 @@ class TrackEvidence:
         """A teammate is compared no more."""
         self.size, self.size_log = np.delete(self.size, column, 1), np.delete(self.size_log, column, 1)
         self._at, self._camera_at = np.delete(self._at, column), np.delete(self._camera_at, column, 0)
+        self._expected = np.delete(self._expected, column)
         for segment in self.segments:
             segment.sum = np.delete(segment.sum, column, 0)
             segment.deviation.remove(column)
@@ -246,7 +250,9 @@ class TrackEvidence:
 
     def add(self, bearing: Bearing, mates: Compared, own_way: Array) -> None:
         """Compare a bearing with some teammates; it may be a second or two old. own_way (3,) m: of the camera, from the
-        own start."""
+        own start. What it says itself of where it was replaces where it was last seen."""
+        for column in mates.columns[self._expected[mates.columns]].tolist():
+            self.forget(column)
         since = bearing.t - self._at[mates.columns]
         counts = since > _LEAST_STEP_S
         if not counts.any():
@@ -291,14 +297,21 @@ class TrackEvidence:
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
 
-    def expect(self, column: int, log_ratio: float, t: float) -> None:
-        """The first bearing at t is compared with where a teammate was seen that says nothing: it is so much likelier
-        than that of a stranger, ln."""
-        self._fade(t)
-        self._at[column] = t
-        self.segments[0].sum[column, _LOG] += log_ratio
+    def expect(self, bearing: Bearing, column: int, log_density: float) -> None:
+        """Compare the first bearing with where a teammate was seen that says nothing: its log density, per sr."""
+        self._fade(bearing.t)
+        self.strangers.predict_and_update(
+            np.array([column]),
+            bearing.direction,
+            dt=np.zeros(1),
+            parallax=np.zeros((1, 3)),
+            variance=np.array([bearing.variance]),
+            distance=np.array([bearing.distance]),
+        )
+        self.segments[0].sum[column, _LOG] += log_density
+        self._at[column], self._camera_at[column], self._expected[column] = bearing.t, bearing.camera, True
         if math.isnan(self._begun_t):
-            self._begun_t = t
+            self._begun_t = bearing.t
 
     def _add_size(self, mates: Compared, along: Array, rho: float) -> None:
         """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.

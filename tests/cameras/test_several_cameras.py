@@ -198,9 +198,9 @@ def test_a_camera_that_is_upside_down_is_said_soon_and_the_others_go_on(azimuths
     after = [(report.tracks.t - said.t, entry, nearest) for report, entry, nearest, _ in entries]
     assert [e for t, e, nearest in after if t > 0.0 and e.identity not in (None, "foreign", nearest)] == []
     assert {entry.identity for t, entry, _ in after if t > 0.0 and entry.track.camera == 1} == {None}
-    # The others go on giving names.
+    # The others go on giving names, but for the second in which a drone that comes back is asked where it is.
     others = [entry.identity == nearest for t, entry, nearest in after if entry.track.camera != 1 and t > 3.0]
-    assert np.mean(others) > 0.8
+    assert np.mean(others) > 0.7
 
 
 def test_a_camera_that_is_right_after_all_gives_names_again():

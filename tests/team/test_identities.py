@@ -28,14 +28,6 @@ STEPS = st.one_of(
 )
 
 
-@pytest.fixture
-def observer():
-    made = Observer()
-    made.hears(2, LEFT)
-    made.hears(3, RIGHT)
-    return made
-
-
 def test_drones_are_named_where_they_said_they_are(observer):
     assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
@@ -196,7 +188,7 @@ def test_whatever_happens_no_id_is_held_twice(steps):
                 observer.identities.on_membership(PeerExpelled(drone))
         held = [name for name in observer.names().values() if isinstance(name, int)]
         assert len(held) == len(set(held))
-        assert set(held) <= observer.identities.announced.keys()
+        assert set(held) <= observer.identities.teammates.announced.keys()
         for entry in observer.identities.label(observer.tracks):
             assert 0.0 <= entry.identity_probability <= 1.0
 

@@ -17,23 +17,7 @@ def test_its_own_announcement_and_one_heard_before_change_nothing(observer):
     assert not observer.hears(1, MIDDLE)
     assert not observer.hears(2, RIGHT, sequence=1)
     assert observer.hears(2, LEFT, sequence=2)
-    assert sorted(observer.identities.announced) == [2, 3]
-
-
-def test_algorithm_1_names_in_one_shot_and_twice_if_so_it_falls():
-    paper = Observer(profile="paper")
-    paper.hears(2, LEFT)
-    assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 2}
-
-
-def test_algorithm_1_looks_once_more_when_a_drone_announces_itself_again():
-    paper = Observer(profile="paper")
-    paper.hears(2, LEFT)
-    paper.hears(3, RIGHT)
-    assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
-    paper.hears(2, RIGHT, sequence=2)
-    paper.hears(4, LEFT)
-    assert paper.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 4, "b": 3}
+    assert sorted(observer.identities.teammates.announced) == [2, 3]
 
 
 # --- kept ---
@@ -268,7 +252,7 @@ def test_whatever_happens_nobody_holds_an_id_twice_nor_one_that_several_speak_as
                 names = observer.sees(seconds, coasting=hidden & set(places), **places)
                 given_ids = [name for name in names.values() if isinstance(name, int)]
                 assert len(set(given_ids)) == len(given_ids)
-                assert set(given_ids) <= set(observer.identities.announced) - clashing.keys() - {1}
+                assert set(given_ids) <= set(observer.identities.teammates.announced) - clashing.keys() - {1}
             case ("arrives", drone, boot):
                 observer.identities.on_membership(PeerArrived(drone, boot))
             case ("departs", drone, boot):
@@ -285,7 +269,7 @@ def test_who_is_no_member_any_more_has_no_name_and_is_forgotten(observer):
     assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
     observer.identities.on_membership(PeerExpelled(3))
     assert observer.sees(0.5, a=LEFT, b=RIGHT) == {"a": 2, "b": None}
-    assert observer.identities.announced.keys() == {2}
+    assert observer.identities.teammates.announced.keys() == {2}
 
 
 # --- several cameras ---

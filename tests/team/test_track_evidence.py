@@ -104,3 +104,13 @@ def test_another_life_of_a_teammate_begins_with_nothing():
     assert not told.M[:, 1].any()
     assert told.log[:, 1] == pytest.approx(0.0)
     assert told.M[:, 0].any()
+
+
+def test_what_a_teammate_says_of_itself_replaces_where_it_was_last_seen():
+    expected, fresh = TrackEvidence(MATES, 0), TrackEvidence(MATES, 0)
+    expected.expect(Bearing(0.0, np.zeros(3), np.zeros(2), np.array([1.0, 0.0, 0.0]), 1e-4, 8.0), 1, -3.0)
+    assert expected.told().log[0] == pytest.approx([0.0, -3.0, 0.0])
+    for track in (expected, fresh):
+        add(track, 0.5, np.random.default_rng(1))
+    assert expected.told().log == pytest.approx(fresh.told().log)
+    assert expected.told().M == pytest.approx(fresh.told().M)
