@@ -296,7 +296,7 @@ def test_another_tracker_is_asked_and_compared(flown, tmp_path, capsys):
 
 def test_a_changed_parameter_changes_the_tracks(flown, capsys):
     drone = flown[0] / "drone-1"
-    assert replay(drone, "--set", "tracker.measurement_sigma=12.0", "--set", "identity.window_s=1.0") == 0
+    assert replay(drone, "--set", "tracker.measurement_sigma=12.0", "--set", "identity.probability=0.9") == 0
     assert "they part at" in capsys.readouterr().out
 
 
