@@ -7,6 +7,8 @@ these the team knows nothing. Its configs state `--sigma` metres for every start
 * right, wrong, unknown: as `swarmtrack sim` counts them; wrong with a 95 % interval over flights.
 * later: right from `LATER_S` of flight on, once each drone has had the time to find out.
 * surest: the highest probability that was stated with a wrong name.
+* `--plot`: the probability of each kind of fault, of one drone that is wrong and one that is not, in each row's first
+  flight.
 * said: of the drones concerned, those that said that their own start or heading is wrong; after: seconds from when the
   first teammate came into their view, median and most. Falsely: drones that said so and are right.
 """
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -23,11 +26,12 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.arguments import positive
-from swarmtrack.benchmarks import harness
+from swarmtrack.benchmarks import harness, report
 from swarmtrack.benchmarks.harness import (
     PROCESSES,
     TRACKER,
     Flights,
+    flag,
     option,
     quantile,
     seeds,
@@ -49,6 +53,8 @@ VICTIM = 1
 LATER_S = {"crossing": 10.0, "hover-triangle": 10.0, "errand": 13.0}
 COMPASS_DEG = (5.0, 10.0, 20.0, 30.0, 90.0, 180.0)
 MOUNTING_DEG = (2.0, 5.0, 10.0, 20.0)
+# As the kinds of faults: as configured, own heading, own start, all starts, pads, two.
+FAULT_COLOURS = ("#dddddd", "#cc6677", "#4477aa", "#88ccee", "#ddcc77", "#aa4499")
 START_M = (0.3, 0.5, 1.0, 1.5, 3.0, 5.0)
 
 
@@ -95,6 +101,8 @@ class Flight:
     later: SwarmScore
     said_after: Mapping[int, float]
     falsely: int
+    faults: Mapping[int, Sequence[tuple[float, Mapping[str, float]]]]
+    """By drone: after each scan, s, the probability of each kind of fault."""
 
 
 class _Watch:
@@ -106,11 +114,14 @@ class _Watch:
         self.later = SwarmScorer(swarm.scenario.members, start=later_s, end=seconds)
         self.first_seen: dict[int, float] = {}
         self.said: dict[int, float] = {}
+        self.faults: defaultdict[int, list[tuple[float, Mapping[str, float]]]] = defaultdict(list)
 
     def add_glance(self, glance: Glance) -> None:
         if glance.in_view:
             self.first_seen.setdefault(glance.observer, glance.t)
-        if self._swarm.onboard(glance.observer).self_doubt:
+        onboard = self._swarm.onboard(glance.observer)
+        self.faults[glance.observer].append((glance.t, onboard.by_fault()))
+        if onboard.self_doubt:
             self.said.setdefault(glance.observer, glance.t)
         for drone_id, t in self._swarm.announced_at.items():
             self.later.announced(drone_id, t)
@@ -154,7 +165,7 @@ def fly(
         for d in row.of
         if d in watch.first_seen
     }
-    return Flight(score, watch.later.score(), after, len(watch.said.keys() - set(row.of)))
+    return Flight(score, watch.later.score(), after, len(watch.said.keys() - set(row.of)), watch.faults)
 
 
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:
@@ -197,6 +208,35 @@ def _about(result: dict[str, Any]) -> str:
     )
 
 
+def _plot(args: argparse.Namespace, flights: dict[str, list[Flight]]) -> None:
+    if not args.plot:
+        return
+    figure, axes = report.pyplot().subplots(
+        len(flights),
+        DRONES,
+        figsize=(2.6 * DRONES, 2.0 * len(flights) + 0.8),
+        layout="constrained",
+        sharex=True,
+        sharey=True,
+        squeeze=False,
+    )
+    for line, (name, (first, *_)) in zip(axes, flights.items(), strict=True):
+        for axis, (drone, faults) in zip(line, sorted(first.faults.items()), strict=False):
+            t, p = [t for t, _ in faults], [list(by_fault.values()) for _, by_fault in faults]
+            axis.stackplot(t, np.array(p).T, labels=list(faults[0][1]), colors=FAULT_COLOURS)
+            axis.set_title(f"{name}: drone {drone}", fontsize=9)
+    axes[0, 0].set_xlim(left=0.0)
+    axes[0, 0].set_ylim(0.0, 1.0)
+    for axis in axes[-1]:
+        axis.set_xlabel("t, s")
+    for line in axes:
+        line[0].set_ylabel("probability")
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(FAULT_COLOURS)
+    )
+    report.save(figure, args.out / "misconfigured.png")
+
+
 BENCH = Flights(
     name="misconfigured",
     title="Names when the configuration is wrong",
@@ -214,9 +254,11 @@ BENCH = Flights(
         option(
             "--share", "every drone says so often how it moves (default: never)", type=positive, metavar="HZ"
         ),
+        flag("--plot", "draw the probability of each kind of fault: misconfigured.png"),
         PROCESSES,
     ),
     rows=_rows,
+    finish=_plot,
     facts=lambda args: {
         "seeds": args.seeds,
         "sigma_m": args.sigma,

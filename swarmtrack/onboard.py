@@ -307,6 +307,10 @@ class Onboard:
         """The latest announcement of every teammate."""
         return dict(self._identities.teammates.announced)
 
+    def by_fault(self) -> dict[str, float]:
+        """The probability that all is as configured, and of each kind of fault of this drone or its team."""
+        return self._identities.by_fault()
+
     @property
     def part_counters(self) -> dict[str, int]:
         """What its parts refused or had to mend."""

@@ -103,6 +103,10 @@ class Identities:
         """The likeliest fault of this drone's own pose, while it doubts it."""
         return self._posterior.mixture.fault if self.self_doubt else None
 
+    def by_fault(self) -> dict[str, float]:
+        """The probability of each kind of fault: `own_errors.Fault`, by its words."""
+        return {fault.value: p for fault, p in self._posterior.mixture.by_fault().items()}
+
     # --- what teammates say ---
 
     def announce(self, announcement: Announcement) -> bool:

@@ -55,6 +55,17 @@ class PathTurn(enum.IntEnum):
     """All paths of the team, as much as the own."""
 
 
+class Fault(enum.Enum):
+    """Kinds of components."""
+
+    NONE = "as configured"
+    HEADING = "own heading"
+    START = "own start"
+    STARTS = "all starts"
+    PADS = "mixed-up pads"
+    TWO = "two faults"
+
+
 @dataclass(frozen=True, slots=True)
 class Component:
     """heading [rad]: the true one less the autopilot's, and its sigma within the component; off: whether that is a
@@ -70,6 +81,21 @@ class Component:
     pads: Permutation
     prior: float
     loose: bool = False
+
+    @property
+    def fault(self) -> Fault:
+        """Its kind; of a heading, also where the heading is within what the autopilot states."""
+        start = Fault.STARTS if self.loose else Fault.START
+        found = [
+            fault
+            for fault, there in (
+                (Fault.HEADING, self.heading != 0.0),
+                (start, self.ring > 0.0),
+                (Fault.PADS, bool(self.pads)),
+            )
+            if there
+        ]
+        return Fault.TWO if len(found) > 1 else (*found, Fault.NONE)[0]
 
 
 def components(own: int, pads: Mapping[int, Array]) -> list[Component]:

@@ -113,4 +113,4 @@ def test_what_a_teammate_says_of_itself_replaces_where_it_was_last_seen():
     for track in (expected, fresh):
         add(track, 0.5, np.random.default_rng(1))
     assert expected.told().log == pytest.approx(fresh.told().log)
-    assert expected.told().M == pytest.approx(fresh.told().M)
+    assert pytest.approx(fresh.told().M) == expected.told().M
