@@ -104,7 +104,7 @@ class Identities:
         return self._posterior.mixture.fault if self.self_doubt else None
 
     def by_fault(self) -> dict[str, float]:
-        """The probability of each kind of fault: `own_errors.Fault`, by its words."""
+        """The probability of each kind of fault: `own_errors.ConfigFault`, by its words."""
         return {fault.value: p for fault, p in self._posterior.mixture.by_fault().items()}
 
     # --- what teammates say ---

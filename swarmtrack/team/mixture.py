@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array, OwnFault
 from swarmtrack.team.evidence import Marginal, TeammatePrior
-from swarmtrack.team.own_errors import Fault, OwnErrors
+from swarmtrack.team.own_errors import ConfigFault, OwnErrors
 from swarmtrack.team.priors import (
     DOUBTING_PADS_RATIO,
     HEADING_LEAST_SIGMA_RAD,
@@ -160,15 +160,15 @@ class JointMixture:
             return OwnFault(start=(north, east))
         return OwnFault(pad_of=dict(errors.components[int(w.argmax())].pads)[errors.own])
 
-    def by_fault(self) -> dict[Fault, float]:
+    def by_fault(self) -> dict[ConfigFault, float]:
         """The probability of each kind of fault."""
-        found = dict.fromkeys(Fault, 0.0)
+        found = dict.fromkeys(ConfigFault, 0.0)
         for c, w, off in zip(
             self.errors.components, self.weight.tolist(), self._p_heading_off.tolist(), strict=True
         ):
-            is_stated = c.fault is Fault.HEADING
+            is_stated = c.fault is ConfigFault.HEADING
             found[c.fault] += w * off if is_stated else w
-            found[Fault.NONE] += w * (1.0 - off) if is_stated else 0.0
+            found[ConfigFault.NONE] += w * (1.0 - off) if is_stated else 0.0
         return found
 
     def _of_teammate(

@@ -55,7 +55,7 @@ class PathTurn(enum.IntEnum):
     """All paths of the team, as much as the own."""
 
 
-class Fault(enum.Enum):
+class ConfigFault(enum.Enum):
     """Kinds of components."""
 
     NONE = "as configured"
@@ -83,19 +83,19 @@ class Component:
     loose: bool = False
 
     @property
-    def fault(self) -> Fault:
+    def fault(self) -> ConfigFault:
         """Its kind; of a heading, also where the heading is within what the autopilot states."""
-        start = Fault.STARTS if self.loose else Fault.START
+        start = ConfigFault.STARTS if self.loose else ConfigFault.START
         found = [
             fault
             for fault, there in (
-                (Fault.HEADING, self.heading != 0.0),
+                (ConfigFault.HEADING, self.heading != 0.0),
                 (start, self.ring > 0.0),
-                (Fault.PADS, bool(self.pads)),
+                (ConfigFault.PADS, bool(self.pads)),
             )
             if there
         ]
-        return Fault.TWO if len(found) > 1 else (*found, Fault.NONE)[0]
+        return ConfigFault.TWO if len(found) > 1 else (*found, ConfigFault.NONE)[0]
 
 
 def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
