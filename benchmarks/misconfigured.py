@@ -7,10 +7,9 @@ these the team knows nothing. Its configs state `--sigma` metres for every start
 * right, wrong, unknown: as `swarmtrack sim` counts them; wrong with a 95 % interval over flights.
 * later: right from `LATER_S` of flight on, once each drone has had the time to find out.
 * surest: the highest probability that was stated with a wrong name.
-* `--plot`: the probability of each kind of fault, of one drone that is wrong and one that is not, in each row's first
-  flight.
 * said: of the drones concerned, those that said that their own start or heading is wrong; after: seconds from when the
   first teammate came into their view, median and most. Falsely: drones that said so and are right.
+* `--plot`: the probability of each kind of fault, of every drone in each row's first flight.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ VICTIM = 1
 LATER_S = {"crossing": 10.0, "hover-triangle": 10.0, "errand": 13.0}
 COMPASS_DEG = (5.0, 10.0, 20.0, 30.0, 90.0, 180.0)
 MOUNTING_DEG = (2.0, 5.0, 10.0, 20.0)
-# As the kinds of faults: as configured, own heading, own start, all starts, pads, two.
+# In the order of `own_errors.ConfigFault`.
 FAULT_COLOURS = ("#dddddd", "#cc6677", "#4477aa", "#88ccee", "#ddcc77", "#aa4499")
 START_M = (0.3, 0.5, 1.0, 1.5, 3.0, 5.0)
 
@@ -102,15 +101,16 @@ class Flight:
     said_after: Mapping[int, float]
     falsely: int
     faults: Mapping[int, Sequence[tuple[float, Mapping[str, float]]]]
-    """By drone: after each scan, s, the probability of each kind of fault."""
+    """By drone: at each glance, s, the probability of each kind of fault; empty unless it is to be drawn."""
 
 
 class _Watch:
-    """When each drone saw the first teammate, and when it said that it is wrong itself; and the score of what comes
-    after `LATER_S`."""
+    """When each drone saw the first teammate, and when it said that it is wrong itself; the score of what comes after
+    `LATER_S`; and the faults of which it thinks, if these are to be drawn."""
 
-    def __init__(self, swarm: VirtualSwarm, later_s: float, seconds: float) -> None:
+    def __init__(self, swarm: VirtualSwarm, later_s: float, seconds: float, *, draws: bool) -> None:
         self._swarm = swarm
+        self._draws = draws
         self.later = SwarmScorer(swarm.scenario.members, start=later_s, end=seconds)
         self.first_seen: dict[int, float] = {}
         self.said: dict[int, float] = {}
@@ -120,7 +120,8 @@ class _Watch:
         if glance.in_view:
             self.first_seen.setdefault(glance.observer, glance.t)
         onboard = self._swarm.onboard(glance.observer)
-        self.faults[glance.observer].append((glance.t, onboard.by_fault()))
+        if self._draws:
+            self.faults[glance.observer].append((glance.t, onboard.by_fault()))
         if onboard.self_doubt:
             self.said.setdefault(glance.observer, glance.t)
         for drone_id, t in self._swarm.announced_at.items():
@@ -150,15 +151,16 @@ def fly(
     seed: int,
     *,
     share_hz: float | None = None,
+    draws: bool = False,
 ) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight. share_hz: how often each says how it
-    moves, None: never."""
+    moves, None: never. draws: keep what is drawn."""
     flown = load_scenario(scenario, seed=seed, drones=DRONES)
     told = {d: replace(start, position_sigma_m=sigma_m) for d, start in flown.announced.items()}
     flown = misplaced(replace(flown, announced=told), row)
     mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
     swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes, share_hz=share_hz)
-    watch = _Watch(swarm, LATER_S[scenario], SECONDS[scenario])
+    watch = _Watch(swarm, LATER_S[scenario], SECONDS[scenario], draws=draws)
     score = recognition.judge(swarm, flown, SECONDS[scenario], watch.add_glance).score
     after = {
         d: max(watch.said.get(d, math.inf) - max(watch.first_seen[d], swarm.announced_at[d]), 0.0)
@@ -184,11 +186,13 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
 
 
 def _rows(args: argparse.Namespace) -> list[harness.Row]:
+    if args.plot:
+        report.pyplot()
     chosen = [row for row in rows() if not args.rows or any(word in row.name for word in args.rows)]
     return [
         harness.Row(
             f"{scenario}: {row.name}",
-            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share),
+            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share, draws=args.plot),
             summary,
             {"name": row.name},
             place=("scenarios", scenario, row.name),

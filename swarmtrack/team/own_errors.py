@@ -219,6 +219,7 @@ class OwnErrors:
         self.ring = np.array([c.ring for c in each])
         self.loose = np.array([c.loose for c in each])
         self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
+        self._faults = np.array([c.fault.value for c in each])
         # The cells that a heading which is not off may be in as well.
         single = [
             c.heading != 0.0 and not c.ring and not c.pads and c.path is not PathTurn.TEAM for c in each
@@ -257,6 +258,10 @@ class OwnErrors:
         around = self.pads[self.own]
         on = [dict(c.pads).get(drone_id, drone_id) for c in self.components]
         return np.array([self.pads.get(pad, around) for pad in on])
+
+    def fault_is(self, fault: ConfigFault) -> NDArray[np.bool_]:
+        """(k,): the components of that kind."""
+        return np.asarray(self._faults == fault.value)
 
     def permuted(self, drone_id: int) -> NDArray[np.bool_]:
         """(k,): the components in which that drone stands on another's pad."""

@@ -20,8 +20,12 @@ def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(mo
 def test_one_posterior_names_drones_on_each_others_pads_and_they_say_so(monkeypatch):
     monkeypatch.setitem(misconfigured.SECONDS, "crossing", 12.0)
     row = ROWS["pads, moved on by one"]
-    flight = misconfigured.fly(row, "crossing", 0.1, "mbm", 1)
+    flight = misconfigured.fly(row, "crossing", 0.1, "mbm", 1, draws=True)
     assert flight.score.wrong == 0.0
+    for faults in flight.faults.values():
+        _, by_fault = faults[-1]
+        assert sum(by_fault.values()) == pytest.approx(1.0)
+        assert by_fault["mixed-up pads"] > 0.95
     assert flight.later.correct > 0.97
     assert sorted(flight.said_after) == [1, 2, 3, 4]
     assert max(flight.said_after.values()) < 2.0
