@@ -224,7 +224,7 @@ class Onboard:
                 self._ego.restart()
                 self._bias.restart()
                 self._heading_steps.restart()
-                self._identities.lose_place()
+                self._identities.autopilot_rebooted()
             case _:
                 assert_never(event)
 

@@ -79,6 +79,9 @@ class PaperIdentities:
     def step_heading(self, t: float, turned: float) -> None:
         """What was matched stays so."""
 
+    def autopilot_rebooted(self) -> None:
+        """Names are kept."""
+
     def lose_place(self) -> None:
         """Likewise."""
 

@@ -265,6 +265,8 @@ class EgoHistory:
         if self._placed is None or self._poses[-1].t - self._poses[0].t < EGO_VELOCITY_SPAN_S:
             return None
         newest = self._poses[-1]
+        if newest.t - self._placed.t > EGO_VELOCITY_SPAN_S:
+            return None
         line = self._line(newest.t - EGO_VELOCITY_SPAN_S, newest.t)
         if line is None:
             return None

@@ -161,6 +161,10 @@ class Identities:
         self._posterior.lose_place()
         self._strange_since = {}
 
+    def autopilot_rebooted(self) -> None:
+        """This drone goes on from where it was last, and that is not where it was meanwhile."""
+        self._posterior.begin_frame_next()
+
     def turn_unmeasured(self) -> None:
         """The camera has turned by an unknown angle since the last scan: each track may have another target."""
         self._posterior.begin_again()

@@ -118,6 +118,11 @@ class JointMixture:
         told = [track.told() for track in tracks]
         for c, mate in enumerate(mates):
             log_w = log_w + self._of_teammate(c, mate, tracks, told, each, used=used, t=t, known=known)
+        for track, b, e in zip(tracks, base, each, strict=True):
+            if track.waits:
+                # Bearings of before it that came since are of what it was before.
+                before = np.logaddexp.reduce(_with_anybody(b, e)[:-1], axis=0)
+                b[-1] = track.begin_waiting_on(before, used)
         nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
         log_w = log_w + sum(nobody, np.zeros(len(used)))
         ratio = np.array(
@@ -136,7 +141,7 @@ class JointMixture:
         for track, b, e, none, r in zip(tracks, base, each, nobody, ratio, strict=True):
             whole = none + np.logaddexp(0.0, np.logaddexp.reduce(r, axis=1))
             track.learn(whole, used, len(self.errors))
-            alone = b + np.logaddexp(0.0, np.logaddexp.reduce(e, axis=2)) - whole
+            alone = _with_anybody(b, e) - whole
             track.weigh_segments(np.exp(np.minimum(alone[:, kept], 0.0)) @ self.weight[used[kept]])
         return P
 
@@ -162,13 +167,11 @@ class JointMixture:
 
     def by_fault(self) -> dict[ConfigFault, float]:
         """The probability of each kind of fault."""
-        found = dict.fromkeys(ConfigFault, 0.0)
-        for c, w, off in zip(
-            self.errors.components, self.weight.tolist(), self._p_heading_off.tolist(), strict=True
-        ):
-            is_stated = c.fault is ConfigFault.HEADING
-            found[c.fault] += w * off if is_stated else w
-            found[ConfigFault.NONE] += w * (1.0 - off) if is_stated else 0.0
+        heading = self.errors.fault_is(ConfigFault.HEADING)
+        as_stated = float(self.weight[heading] @ (1.0 - self._p_heading_off[heading]))
+        found = {fault: float(self.weight[self.errors.fault_is(fault)].sum()) for fault in ConfigFault}
+        found[ConfigFault.HEADING] -= as_stated
+        found[ConfigFault.NONE] += as_stated
         return found
 
     def _of_teammate(
@@ -310,6 +313,11 @@ class JointMixture:
         m = w @ np.array(mean)
         off = np.array(mean) - m
         return m, np.einsum("i,iab->ab", w, np.array(spread) + off[:, :, None] * off[:, None, :])
+
+
+def _with_anybody(base: Array, each: Array) -> Array:
+    """Log evidence (s, k) of each segment with all before it, whoever it is: base (s, k), and each (s, k, m)."""
+    return np.asarray(base + np.logaddexp(0.0, np.logaddexp.reduce(each, axis=2, initial=-np.inf)))
 
 
 def _each_past_once(

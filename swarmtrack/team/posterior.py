@@ -21,6 +21,7 @@ import numpy as np
 
 from swarmtrack.geometry import rotation
 from swarmtrack.messages import AgreedMotion, Announcement, Array
+from swarmtrack.team.adrift import Adrift
 from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.evidence import design, turned_back
 from swarmtrack.team.last_seen import LastSeenRay
@@ -31,16 +32,20 @@ from swarmtrack.team.priors import (
     BOX_SIZE_SIGMA_LN,
     BOX_SPAN_LEAST_SIGMA_LN,
     CALM_WEIGHED_EVERY_S,
+    CARRIED_MOST,
     ELSEWHERE_GATE,
     ELSEWHERE_LEAST_M,
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
+    LOG_ANYWHERE,
+    LOG_SEEN,
     P_BELIEVED,
     P_ELSEWHERE,
     P_FRAME_KEPT,
     P_HELD,
     P_SIZE_LEARNED,
     P_SUPPOSED,
+    REBOOTED_M,
     REPORT_WAIT_S,
     ROUND_NEAR_S,
     ROUND_S,
@@ -96,7 +101,9 @@ class TeamPosterior:
         self.named: dict[int, Named] = {}
         self.mixture = JointMixture(own)
         self._start: Array | None = None
-        self._known = OwnKnowledge(max(start_sigma_m, START_LEAST_SIGMA_M))
+        self._start_sigma_m = max(start_sigma_m, START_LEAST_SIGMA_M)
+        self._adrift = Adrift(self._start_sigma_m)
+        self._known = OwnKnowledge(self._start_sigma_m)
         self._tracks: dict[int, TrackEvidence] = {}
         self._scans: list[deque[BearingScan]] = [deque() for _ in range(cameras)]
         self._round = [-math.inf] * cameras
@@ -188,20 +195,51 @@ class TeamPosterior:
             mate.seen = None
 
     def lose_place(self) -> None:
-        """This drone may be elsewhere than it thinks: nothing that it saw says where anybody is."""
+        """This drone looked elsewhere than it thought: nothing that it saw says where anybody is."""
         self.begin_again()
         self.mixture.forget()
         for mate in self.teammates.values():
             mate.forget_frame()
 
+    def begin_frame_next(self) -> None:
+        """With the next place that this drone knows: it may have moved a little since the last one."""
+        self._adrift.lost = max(self._adrift.lost, REBOOTED_M)
+
+    def _begin_frame(self, place: Array, t: float) -> None:
+        """This drone was adrift, and its frame is another: what it saw says who is who, and not where."""
+        self._start, self._start_sigma_m = place.copy(), self._adrift.begin_frame()
+        self._scans = [deque([scans[-1]] if scans else []) for scans in self._scans]
+        self._round = [-math.inf] * len(self._round)
+        self.mixture.forget()
+        for mate in self.teammates.values():
+            mate.forget_frame()
+            self._carry(mate, t)
+
+    def _carry(self, mate: Teammate, t: float) -> None:
+        """Each track is as likely to be that teammate as before, whatever the frames."""
+        for id, track in self._tracks.items():
+            named = self.named.get(id)
+            p = 0.0 if named is None else named.p.get(mate.drone_id, 0.0)
+            p_none = 1.0 if named is None else named.p_none
+            log = math.log(max(p, 1e-9) / max(p_none, 1e-9))
+            track.carry(mate.column, min(max(log, -CARRIED_MOST), CARRIED_MOST) - LOG_SEEN + LOG_ANYWHERE, t)
+        self._team_has_changed = True
+
     def observe(self, scan: BearingScan, alive: Collection[int], place: Array, known: OwnKnowledge) -> None:
         """alive: the tracks of all cameras; place (3,) m: of this drone, team frame, as well known as its autopilot
         says."""
-        start_sigma_m = self._known.start_sigma_m
         if self._start is None:
             self._start = place.copy()
-            start_sigma_m = math.hypot(start_sigma_m, known.start_sigma_m)
-        self._known = OwnKnowledge(start_sigma_m, max(known.heading_sigma, HEADING_LEAST_SIGMA_RAD))
+            self._adrift.first = math.hypot(self._adrift.first, known.start_sigma_m)
+            self._start_sigma_m = self._adrift.first
+        self._adrift.is_at(known.start_sigma_m)
+        if self._adrift.found:
+            self._begin_frame(place, scan.t)
+        for mate in self.teammates.values():
+            if mate.adrift.found:
+                mate.begin_frame()
+                self._carry(mate, scan.t)
+        self._known = OwnKnowledge(self._start_sigma_m, max(known.heading_sigma, HEADING_LEAST_SIGMA_RAD))
         t, scans = scan.t, self._scans[scan.camera]
         scans.append(scan)
         while scans[0].t < t - _SCANS_KEPT_S:
@@ -265,7 +303,8 @@ class TeamPosterior:
     def _compare(self, scan: BearingScan, ids: Sequence[int], mates: Collection[Teammate]) -> None:
         """Tracks with teammates, in one scan."""
         assert self._start is not None
-        placed = [(mate, mate.at(scan.t)) for mate in mates] if ids else []
+        some = [] if self._adrift.lost or not ids else [mate for mate in mates if not mate.adrift.lost]
+        placed = [(mate, mate.at(scan.t)) for mate in some]
         near = [one for one in placed if np.linalg.norm(one[1].place - one[0].start) < FARTHEST_COMPARED_M]
         if not near:
             return
@@ -295,7 +334,7 @@ class TeamPosterior:
             seen = mate.seen
             if seen is None or seen.track in scan.bearings or track.compared[mate.column]:
                 continue
-            if not mate.knows(bearing.t) and not mate.speaks(seen.bearing.t, 0.0):
+            if not mate.knows(bearing.t) and not mate.has_spoken_since(seen.bearing.t):
                 track.expect(bearing, mate.column, seen.log_density(bearing))
 
     def _remember(self, scan: BearingScan) -> None:

@@ -130,7 +130,8 @@ STRANGER_PARALLAX_SIGMA = 0.4
 P_TEAMMATE_SEEN, P_TEAMMATE_MISSED, STRANGERS_SEEN = 0.9, 0.3, 0.2
 LOG_SEEN = math.log(P_TEAMMATE_SEEN / P_TEAMMATE_MISSED / STRANGERS_SEEN)
 # The same of a teammate that may stand anywhere around: that it is in the picture at all is known from the track.
-LOG_SEEN_SOMEWHERE = LOG_SEEN + math.log(4.0 * math.pi)
+LOG_ANYWHERE = math.log(4.0 * math.pi)
+LOG_SEEN_SOMEWHERE = LOG_SEEN + LOG_ANYWHERE
 # The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a
 # quarter.
 LOG_WEAK = math.log(0.25 / 3.0)
@@ -151,6 +152,11 @@ P_SUPPOSED = 0.2
 # A track with such a name has been that teammate.
 P_HELD = 0.5
 P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
+# m per axis: a drone whose place becomes more uncertain than at first, by the first, has lost it; one that states the
+# second doubts itself. After a reboot of its autopilot a place is off by the last, at least.
+ADRIFT_M, DOUBTS_M, REBOOTED_M = 2.0, 100.0, 1.0
+# A name outlives its drone's frame, or ours, by a log ratio of this at most.
+CARRIED_MOST = 5.0
 # Log ratios of pairs: below the least they are impossible; above the most, a track is somebody.
 LOG_NONSENSE = -1e6
 LOG_RATIO_LEAST, LOG_RATIO_MOST = -60.0, 60.0

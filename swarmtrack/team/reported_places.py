@@ -68,6 +68,11 @@ class ReportedPlaces:
         """The newest report; IndexError where there is none."""
         return self._reports[-1]
 
+    def begin_at_last(self) -> None:
+        """What was before the newest report was in another frame."""
+        while len(self._reports) > 1:
+            self._reports.popleft()
+
     def append(self, report: Report) -> None:
         """One more; one that is not newer than the last is dropped."""
         if not self._reports or report.t > self._reports[-1].t:

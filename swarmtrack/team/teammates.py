@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, SightingReport
+from swarmtrack.team.adrift import Adrift, sigma_per_axis
 from swarmtrack.team.last_seen import LastSeenRay
 from swarmtrack.team.priors import (
     AGREED_WHITE_M,
     BOX_SPAN_SIGMA_LN,
     CODED_DEVIATION,
+    DOUBTS_M,
     PLACE_LASTS_S,
     PLANNED_DEVIATION,
     REPORT_WAIT_S,
@@ -26,8 +28,6 @@ from swarmtrack.team.track_evidence import fading
 _MOTION_LASTS_S = 3.0
 # s between two reports whose difference is a velocity.
 _VELOCITY_LEAST_S, _VELOCITY_MOST_S = 0.3, 2.5
-# m per axis: a drone that says that it knows its place no better doubts itself.
-_DOUBTS_M = 100.0
 
 
 @dataclass(slots=True, eq=False)
@@ -47,6 +47,7 @@ class Teammate:
     """ln of its box's larger side over `BOX_SPAN_M`, as learned; and the variance."""
     span_variance: float = BOX_SPAN_SIGMA_LN**2
     sized_t: float = -math.inf
+    adrift: Adrift = field(init=False)
     _origin: Array | None = None
     _motion_t: float = -math.inf
     motions: list[AgreedMotion] = field(default_factory=list)
@@ -73,16 +74,21 @@ class Teammate:
         made.announce(announcement)
         return made
 
+    def __post_init__(self) -> None:
+        self.adrift = Adrift(sigma_per_axis(self.start_cov))
+
     def announce(self, announcement: Announcement) -> None:
         """It says where it is, and perhaps that it doubts it."""
-        vague = float(np.trace(announcement.position_cov)) > 3.0 * _DOUBTS_M**2
-        self.doubting = vague and self.knows_start
-        if not self.doubting or not self.path:
+        sigma = sigma_per_axis(announcement.position_cov)
+        self.doubting = sigma > DOUBTS_M and self.knows_start
+        if (not self.doubting and not self.adrift.is_at(sigma)) or not self.path:
             self.path.append(Report(announcement.t, announcement.position, None))
 
     def report(self, report: SightingReport) -> None:
         """It says with what it sees where it is. Of another process of its, nothing is known of the frame."""
-        if report.boot != self.boot or report.t - self._motion_t <= _MOTION_LASTS_S:
+        if report.boot != self.boot or self.adrift.is_at(report.position_sigma):
+            return
+        if report.t - self._motion_t <= _MOTION_LASTS_S:
             return
         velocity, last = None, self.path.last
         if _VELOCITY_LEAST_S < report.t - last.t < _VELOCITY_MOST_S:
@@ -91,7 +97,7 @@ class Teammate:
 
     def move(self, report: MotionReport) -> None:
         """It says how it moves: its displacement is counted from one place as long as its process lives."""
-        if report.boot != self.boot:
+        if report.boot != self.boot or self.adrift.is_at(sigma_per_axis(report.displacement_cov)):
             return
         if self._origin is None:
             last = self.path.last
@@ -129,13 +135,13 @@ class Teammate:
     def _agreed_at(self, t: float) -> AgreedMotion | None:
         return next((motion for motion in self.motions if motion.t[0] <= t <= motion.t[-1]), None)
 
-    def speaks(self, t: float, within: float) -> bool:
-        """Whether it has said something within so many s before t."""
-        return self.path.last.t > t - within
+    def has_spoken_since(self, t: float) -> bool:
+        """Whether it has said where it was after t."""
+        return self.path.last.t > t
 
     def goes_on(self, t: float) -> bool:
         """Whether it reports regularly, so that another report follows within REPORT_WAIT_S."""
-        return self.path.last.velocity is not None and self.speaks(t, REPORT_WAIT_S)
+        return self.path.last.velocity is not None and self.has_spoken_since(t - REPORT_WAIT_S)
 
     def told(self, t: float) -> Array:
         """(8, 8): what its ended tracks say of its frame at t."""
@@ -154,6 +160,14 @@ class Teammate:
         """A track has ended that was this drone with probability p."""
         self._told, self._told_t = self.told(t), t
         self._supposed, self.p_supposed = M, p
+
+    def begin_frame(self) -> None:
+        """It has found a place again. From there on it flies as it says; where that is, is as uncertain as it was."""
+        self.start = self.path.last.place.copy()
+        self.start_cov = self.adrift.begin_frame() ** 2 * np.eye(3)
+        self.path.begin_at_last()
+        self._origin = None
+        self.forget_frame()
 
     def forget_frame(self) -> None:
         """What its ended tracks said was of another start of this drone."""

@@ -175,13 +175,16 @@ class TrackEvidence:
     _camera_at: Array = field(init=False)
     _expected: NDArray[np.bool_] = field(init=False)
     """(n,): compared with where it was last seen only."""
+    _sized: NDArray[np.bool_] = field(init=False)
+    """(n,): its box has been counted."""
 
     def __post_init__(self) -> None:
         n, self.n = self.n, 0
         self.segments = [TrackSegment(-math.inf, np.zeros((0, _WIDTH)), DeviationFilters(0), weight=1.0)]
         self.size, self.size_log = _no_size(0)
         self.strangers = StrangerFilters(0)
-        self._at, self._camera_at, self._expected = np.zeros(0), np.zeros((0, 3)), np.zeros(0, bool)
+        self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
+        self._expected, self._sized = np.zeros(0, bool), np.zeros(0, bool)
         self.grow(n)
 
     @property
@@ -206,6 +209,7 @@ class TrackEvidence:
         self._at = np.concatenate([self._at, np.full(more, -math.inf)])
         self._camera_at = np.concatenate([self._camera_at, np.zeros((more, 3))])
         self._expected = np.concatenate([self._expected, np.zeros(more, bool)])
+        self._sized = np.concatenate([self._sized, np.zeros(more, bool)])
         for segment in self.segments:
             segment.sum = np.concatenate([segment.sum, np.zeros((more, _WIDTH))])
             segment.deviation.grow(n)
@@ -215,17 +219,28 @@ class TrackEvidence:
     def forget(self, column: int) -> None:
         """What was said of a teammate counts no more: it is another life."""
         self.size[:, [column]], self.size_log[:, [column]] = _no_size(1)
-        self._at[column], self._expected[column] = -math.inf, False
+        self._at[column], self._expected[column], self._sized[column] = -math.inf, False, False
         self.strangers.restart(column)
         for segment in self.segments:
             segment.sum[column] = 0.0
             segment.deviation.restart(column)
 
+    def carry(self, column: int, log_ratio: float, t: float) -> None:
+        """What was said of a teammate until t is a log ratio, whatever its frame. Of the segments the likeliest is
+        left: in what was before the others, the old frame speaks."""
+        now = self.segments[self.likeliest_segment]
+        now.since, now.log_handover, now.base, now.weight = -math.inf, 0.0, None, 1.0
+        self.segments, self.whole = [now], None
+        self.forget(column)
+        self._fade(t)
+        self.segments[0].sum[column, _LOG] = log_ratio
+        self._at[column], self._sized[column] = t, True
+
     def remove(self, column: int) -> None:
         """A teammate is compared no more."""
         self.size, self.size_log = np.delete(self.size, column, 1), np.delete(self.size_log, column, 1)
         self._at, self._camera_at = np.delete(self._at, column), np.delete(self._camera_at, column, 0)
-        self._expected = np.delete(self._expected, column)
+        self._expected, self._sized = np.delete(self._expected, column), np.delete(self._sized, column)
         for segment in self.segments:
             segment.sum = np.delete(segment.sum, column, 0)
             segment.deviation.remove(column)
@@ -316,7 +331,7 @@ class TrackEvidence:
     def _add_size(self, mates: Compared, along: Array, rho: float) -> None:
         """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.
         The error is one of the distance's logarithm: a mixture of Gaussians of the distance."""
-        fresh = np.isinf(self.size_log[1, mates.columns])
+        fresh = ~self._sized[mates.columns]
         if not fresh.any():
             return
         mates, along = mates.only(fresh), along[fresh]
@@ -333,6 +348,7 @@ class TrackEvidence:
         log += math.log(STRANGER_DISTANCE_RANGE_LN / (DISTANCE_SHARE * math.sqrt(2.0 * math.pi)))
         self.size[:, j] = np.nan_to_num(size)
         self.size_log[:, j] = np.where(np.isnan(steps), -np.inf, log)
+        self._sized[j] = True
 
     # --- segments ---
 
@@ -364,6 +380,19 @@ class TrackEvidence:
         self.segments.append(
             TrackSegment(t, np.zeros((self.n, _WIDTH)), DeviationFilters(self.n), log_handover, base)
         )
+
+    @property
+    def waits(self) -> bool:
+        """Whether no bearing of the newest segment has been compared yet: only what was before it."""
+        return self.segments[-1].base is not None and self.t < self.segments[-1].since
+
+    def begin_waiting_on(self, before: Array, used: NDArray[np.intp]) -> Array:
+        """before (len(used),): log evidence of all before the newest segment, by the components used. Returns the same
+        with its prior."""
+        newest = self.segments[-1]
+        assert newest.base is not None
+        newest.base[used] = before
+        return newest.log_handover + before
 
     def weigh_segments(self, weight: Array) -> None:
         """weight (s,): how likely it is that the present target is that since then."""

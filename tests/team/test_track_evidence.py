@@ -51,6 +51,31 @@ def test_a_bearing_from_before_a_segment_is_not_of_it():
     assert after.M[0] == pytest.approx(before.M[0])
 
 
+def test_a_segment_waits_for_its_first_bearing_and_what_comes_until_then_is_of_before():
+    track, used = flown([0.0, 0.5, 1.0]), np.array([0, 2])
+    assert not track.waits
+    track.begin_segment(1.2, -5.0, np.zeros(4))
+    assert track.waits
+    assert track.begin_waiting_on(np.array([-2.0, -3.0]), used) == pytest.approx([-7.0, -8.0])
+    assert track.bases(4)[1] == pytest.approx([-7.0, -5.0, -8.0, -5.0])
+    add(track, 1.5, np.random.default_rng(15))
+    assert not track.waits
+
+
+def test_what_is_said_of_a_teammate_is_carried_into_another_frame_as_one_number():
+    track = flown([0.0, 0.5, 1.0, 1.5], begin=1.2)
+    others = track.told().M[0][[0, 2]]
+    track.carry(1, 4.0, 1.5)
+    told = track.told()
+    assert len(track.segments) == 1
+    assert told.log[0, 1] == pytest.approx(4.0)
+    assert not told.M[0, 1].any()
+    assert told.M[0][[0, 2]] == pytest.approx(others)
+    add(track, 2.0, np.random.default_rng(20))
+    # Its box was counted in the frame before.
+    assert np.isinf(track.told().size_log[1, 1])
+
+
 def test_what_bearings_say_fades_as_more_is_said():
     early, late = flown([0.0, 0.5]), flown([0.5 + BEARINGS_LAST_S])
     before = early.told().M[0]

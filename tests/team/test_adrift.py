@@ -1,0 +1,54 @@
+"""A drone that loses its place, and finds another."""
+
+import numpy as np
+import pytest
+
+from support.observer import LEFT, RIGHT, Observer, at
+from swarmtrack.team.adrift import Adrift
+
+
+def states(adrift, *sigmas):
+    """Whether it has no place, at each of these."""
+    return [adrift.is_at(sigma) for sigma in sigmas]
+
+
+def test_a_place_that_becomes_uncertain_is_lost_until_it_is_known_again():
+    adrift = Adrift(0.1)
+    assert states(adrift, 0.1, 1.0, 3.0, 9.0) == [False, False, True, True]
+    assert not adrift.found
+    assert states(adrift, 0.1) == [False]
+    assert adrift.found
+    assert adrift.begin_frame() == pytest.approx(9.0, rel=0.01)
+    assert (adrift.lost, adrift.found) == (0.0, False)
+
+
+def test_a_receiver_that_knows_little_and_always_as_little_has_a_place():
+    adrift = Adrift(0.3)
+    assert states(adrift, 0.3, 4.0, 4.0) == [False, True, False]
+    adrift.begin_frame()
+    assert states(adrift, 4.0, 4.2, 3.9) == [False, False, False]
+    assert not adrift.found
+
+
+def test_a_drone_that_doubts_itself_has_lost_nothing():
+    adrift = Adrift(0.1)
+    assert states(adrift, 1000.0, 0.1) == [False, False]
+    assert not adrift.found
+
+
+@pytest.mark.parametrize("by_motion", [False, True], ids=["places", "velocity"])
+def test_a_teammate_that_finds_itself_elsewhere_keeps_its_name(by_motion):
+    observer, off = Observer(), np.array([0.3, -1.5, 0.0])
+    observer.hears(2, LEFT)
+    observer.hears(3, RIGHT)
+    observer.sees(3.0, a=LEFT, b=RIGHT)
+    for sigma in np.arange(1.0, 9.0):
+        observer.is_told(2, LEFT, sigma=sigma)
+        observer.is_told(3, RIGHT)
+        assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+    for _ in range(10):
+        if by_motion:
+            observer.says_it_moved(2, off)
+        observer.is_told_at(2, at(LEFT) + off)
+        observer.is_told(3, RIGHT)
+        assert observer.sees(1.0, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
