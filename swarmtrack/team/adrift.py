@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmtrack.messages import Array
-from swarmtrack.team.priors import ADRIFT_M, DOUBTS_M
+from swarmtrack.team.priors import ADRIFT_LEAST_S, ADRIFT_M, DOUBTS_M
 
 
 @dataclass(slots=True)
@@ -21,29 +21,40 @@ class Adrift:
 
     first: float
     stated: float = math.inf
-    """m per axis, last."""
+    """m per axis, last; and when, s."""
+    stated_t: float = -math.inf
+    lost_t: float = math.inf
+    """When its place was lost, s."""
     lost: float = 0.0
     """m per axis: how uncertain its place has become; 0 while it has one."""
     found: bool = False
     """Whether it has a place again, in a frame that has not begun yet."""
 
-    def is_at(self, sigma: float) -> bool:
-        """Whether it has no place while it states this: who knows little of it, but no less than before, has one."""
+    def is_at(self, t: float, sigma: float) -> bool:
+        """Whether it has no place at t [s], where it states this. A sigma that is large, and does not grow, is one of a
+        place. What is said of an earlier time changes nothing."""
         if sigma > DOUBTS_M:
             return False
-        grows, self.stated = sigma > self.stated, sigma
+        if t <= self.stated_t:
+            return self.lost > 0.0
+        grows, self.stated, self.stated_t = sigma > self.stated, sigma, t
         beside = math.sqrt(max(sigma**2 - self.first**2, 0.0))
         if grows and beside > ADRIFT_M:
-            self.lost, self.found = max(self.lost, beside), False
+            self.lose(t, beside)
             return True
-        self.found = self.lost > 0.0
-        return False
+        self.found = t - self.lost_t >= ADRIFT_LEAST_S
+        return self.lost > 0.0 and not self.found
+
+    def lose(self, t: float, sigma: float) -> None:
+        """From t on its place is as uncertain as sigma [m per axis], at least."""
+        self.lost_t = min(self.lost_t, t)
+        self.lost, self.found = max(self.lost, sigma), False
 
     def begin_frame(self) -> float:
         """From now on it has a place. Returns how uncertain that is, m per axis, its start included."""
         sigma = math.hypot(self.first, self.lost)
         self.first = max(self.first, self.stated)
-        self.lost, self.found = 0.0, False
+        self.lost_t, self.lost, self.found = math.inf, 0.0, False
         return sigma
 
 

@@ -203,7 +203,7 @@ class TeamPosterior:
 
     def begin_frame_next(self) -> None:
         """With the next place that this drone knows: it may have moved a little since the last one."""
-        self._adrift.lost = max(self._adrift.lost, REBOOTED_M)
+        self._adrift.lose(self._adrift.stated_t, REBOOTED_M)
 
     def _begin_frame(self, place: Array, t: float) -> None:
         """This drone was adrift, and its frame is another: what it saw says who is who, and not where."""
@@ -216,13 +216,15 @@ class TeamPosterior:
             self._carry(mate, t)
 
     def _carry(self, mate: Teammate, t: float) -> None:
-        """Each track is as likely to be that teammate as before, whatever the frames."""
+        """A track that was that teammate still is, whatever the frames; others are compared with it anew."""
         for id, track in self._tracks.items():
             named = self.named.get(id)
             p = 0.0 if named is None else named.p.get(mate.drone_id, 0.0)
-            p_none = 1.0 if named is None else named.p_none
-            log = math.log(max(p, 1e-9) / max(p_none, 1e-9))
-            track.carry(mate.column, min(max(log, -CARRIED_MOST), CARRIED_MOST) - LOG_SEEN + LOG_ANYWHERE, t)
+            if named is None or p < P_SUPPOSED:
+                track.forget(mate.column)
+                continue
+            log_odds = min(math.log(p / max(named.p_none, 1e-9)), CARRIED_MOST)
+            track.carry(mate.column, log_odds - LOG_SEEN + LOG_ANYWHERE, t)
         self._team_has_changed = True
 
     def observe(self, scan: BearingScan, alive: Collection[int], place: Array, known: OwnKnowledge) -> None:
@@ -232,7 +234,7 @@ class TeamPosterior:
             self._start = place.copy()
             self._adrift.first = math.hypot(self._adrift.first, known.start_sigma_m)
             self._start_sigma_m = self._adrift.first
-        self._adrift.is_at(known.start_sigma_m)
+        self._adrift.is_at(scan.t, known.start_sigma_m)
         if self._adrift.found:
             self._begin_frame(place, scan.t)
         for mate in self.teammates.values():

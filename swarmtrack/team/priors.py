@@ -155,6 +155,8 @@ P_BELIEVED, P_FRAME_KEPT, P_SIZE_LEARNED = 0.97, 0.97, 0.99
 # m per axis: a drone whose place becomes more uncertain than at first, by the first, has lost it; one that states the
 # second doubts itself. After a reboot of its autopilot a place is off by the last, at least.
 ADRIFT_M, DOUBTS_M, REBOOTED_M = 2.0, 100.0, 1.0
+# No frame begins sooner after its drone lost its place.
+ADRIFT_LEAST_S = 1.0
 # A name outlives its drone's frame, or ours, by a log ratio of this at most.
 CARRIED_MOST = 5.0
 # Log ratios of pairs: below the least they are impossible; above the most, a track is somebody.

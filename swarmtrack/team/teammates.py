@@ -81,12 +81,12 @@ class Teammate:
         """It says where it is, and perhaps that it doubts it."""
         sigma = sigma_per_axis(announcement.position_cov)
         self.doubting = sigma > DOUBTS_M and self.knows_start
-        if (not self.doubting and not self.adrift.is_at(sigma)) or not self.path:
+        if (not self.doubting and not self.adrift.is_at(announcement.t, sigma)) or not self.path:
             self.path.append(Report(announcement.t, announcement.position, None))
 
     def report(self, report: SightingReport) -> None:
         """It says with what it sees where it is. Of another process of its, nothing is known of the frame."""
-        if report.boot != self.boot or self.adrift.is_at(report.position_sigma):
+        if report.boot != self.boot or self.adrift.is_at(report.t, report.position_sigma):
             return
         if report.t - self._motion_t <= _MOTION_LASTS_S:
             return
@@ -97,7 +97,7 @@ class Teammate:
 
     def move(self, report: MotionReport) -> None:
         """It says how it moves: its displacement is counted from one place as long as its process lives."""
-        if report.boot != self.boot or self.adrift.is_at(sigma_per_axis(report.displacement_cov)):
+        if report.boot != self.boot or self.adrift.is_at(report.t, sigma_per_axis(report.displacement_cov)):
             return
         if self._origin is None:
             last = self.path.last

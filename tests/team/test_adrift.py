@@ -8,8 +8,9 @@ from swarmtrack.team.adrift import Adrift
 
 
 def states(adrift, *sigmas):
-    """Whether it has no place, at each of these."""
-    return [adrift.is_at(sigma) for sigma in sigmas]
+    """Whether it has no place, at each of these, a second apart."""
+    begin = max(adrift.stated_t, 0.0)
+    return [adrift.is_at(begin + 1.0 + k, sigma) for k, sigma in enumerate(sigmas)]
 
 
 def test_a_place_that_becomes_uncertain_is_lost_until_it_is_known_again():
@@ -25,8 +26,26 @@ def test_a_place_that_becomes_uncertain_is_lost_until_it_is_known_again():
 def test_a_receiver_that_knows_little_and_always_as_little_has_a_place():
     adrift = Adrift(0.3)
     assert states(adrift, 0.3, 4.0, 4.0) == [False, True, False]
+    assert adrift.found
     adrift.begin_frame()
     assert states(adrift, 4.0, 4.2, 3.9) == [False, False, False]
+    assert not adrift.found
+
+
+def test_a_peer_that_states_anything_by_turns_begins_no_frame_at_will():
+    adrift, begun = Adrift(0.1), 0
+    for k in range(100):
+        adrift.is_at(0.1 * k, 9.0 + k if k % 2 else 0.1)
+        if adrift.found:
+            adrift.begin_frame()
+            begun += 1
+    assert 1 <= begun <= 10
+
+
+def test_what_is_said_of_an_earlier_time_changes_nothing():
+    adrift = Adrift(0.1)
+    states(adrift, 0.1, 3.0, 9.0)
+    assert adrift.is_at(2.5, 6.0)
     assert not adrift.found
 
 
