@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import re
 import secrets
 import signal
 import socket
@@ -160,7 +161,8 @@ def test_the_simulation_shows_every_teammate_by_its_id(tmp_path):
     config = write(
         tmp_path, f'extends = "{ROOT}/configs/sim.toml"\noutput.jsonl = "{tmp_path}/tracks.jsonl"\n'
     )
-    result = run(config, "--seconds", "8")
+    # Quiet machines have both names within a second; busy ones detect once a second.
+    result = run(config, "--seconds", "14")
     assert result.returncode == 0, result.stderr
     assert "announced teammates: 2, 3" in result.stdout
     scans = [json.loads(line)["tracks"] for line in (tmp_path / "tracks.jsonl").read_text().splitlines()]
@@ -314,7 +316,9 @@ def test_a_terminal_without_our_signs_is_no_reason_to_stop(tmp_path):
         ROOT / "configs" / "sim.toml", "--seconds", "2.5", env={**os.environ, "PYTHONIOENCODING": "ascii"}
     )
     assert result.returncode == 0, result.stderr
-    assert "sees drone 2: " in result.stdout
+    # "±" is none of its signs.
+    assert re.search(r"sees (drone|track) .* \? [0-9.]+ ?(px)?", result.stdout)
+    assert result.stdout.isascii()
 
 
 @pytest.mark.parametrize(

@@ -279,7 +279,7 @@ value = 20.0
 async def test_faults_come_at_their_times_to_whom_they_concern_and_are_healed(tmp_path: Path) -> None:
     path = tmp_path / "faults.toml"
     path.write_text(FAULTS)
-    with simulator(path, "--detector", "oracle", epoch=time.monotonic() + 8.0) as simulated:
+    with simulator(path, "--detector", "oracle", epoch=time.monotonic() + 16.0) as simulated:
         now = time.monotonic
         async with (
             RealFlight(simulated.drones[1]["autopilot"]) as first,
