@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.team.own_errors import OwnErrors, PathTurn
 from swarmtrack.team.priors import (
+    BEARINGS_LAST_S,
     P_DOUBTING_HEADING_OFF,
     P_DOUBTING_START_OFF,
     P_LOOSE_START_OFF,
@@ -42,6 +43,11 @@ from swarmtrack.team.priors import (
 LEVEL = 5
 """Of z: the first of q."""
 _HORIZONTAL = np.diag([1.0, 1.0, START_OFF_VERTICAL**2])
+
+
+def fading(dt: float) -> float:
+    """What is left after dt [s] of what bearings said."""
+    return math.exp(-dt / BEARINGS_LAST_S)
 
 
 def design(place: Array, own_way: Array) -> Array:

@@ -40,6 +40,7 @@ from swarmtrack.team.priors import (
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
+from swarmtrack.team.unheard import UnheardTrack
 from swarmtrack.tracking.marginals_of_each import MatchedOfEach, matched_of_each
 
 
@@ -123,6 +124,8 @@ class JointMixture:
                 # Bearings of before it that came since are of what it was before.
                 before = np.logaddexp.reduce(_with_anybody(b, e)[:-1], axis=0)
                 b[-1] = track.begin_waiting_on(before, used)
+        for track, b, e in zip(tracks, base, each, strict=True):
+            self._hold_back(track, b, e, mates, used=used, t=t)
         nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
         log_w = log_w + sum(nobody, np.zeros(len(used)))
         ratio = np.array(
@@ -212,6 +215,32 @@ class JointMixture:
                 into[:, :, c] = log
             at += len(M)
         return np.asarray(log_w)
+
+    def _hold_back(
+        self,
+        track: TrackEvidence,
+        base: Array,
+        each: Array,
+        mates: Sequence[Teammate],
+        *,
+        used: NDArray[np.intp],
+        t: float,
+    ) -> None:
+        """While the teammate that a track was says nothing, others explain it no better than chance would: in the log
+        ratios `each` (s, k, m), and in what the track remembers."""
+        silent = next((mate for mate in mates if mate.drone_id == track.held and not mate.knows(t)), None)
+        if silent is None:
+            track.unheard = None
+            return
+        if track.unheard is None or track.unheard.drone_id != silent.drone_id:
+            track.unheard = UnheardTrack(silent.drone_id, t, len(self.errors))
+        elif track.t <= track.unheard.since:
+            return  # It was compared with nobody since.
+        others = np.array([mate is not silent for mate in mates])
+        since = [segment.since for segment in track.segments]
+        more = track.unheard.held_back(t, since, base, each[:, :, others], used)
+        track.hold_back([mate.column for mate in mates if mate is not silent], more)
+        each[:, :, others] -= more
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
         """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""

@@ -102,6 +102,9 @@ BEARINGS_LAST_S = 40.0
 # What ended tracks said of the own errors lasts longer.
 OWN_ERRORS_LAST_S = 120.0
 
+# Of a track whose teammate is silent: that it moves as others do, or as anything else that would fit by chance.
+P_MOVES_ALIKE = 0.1
+
 # --- Sizes. ---
 
 # The larger side of a box, m, and how it varies: between airframes, and from box to box.

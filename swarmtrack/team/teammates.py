@@ -9,6 +9,7 @@ import numpy as np
 
 from swarmtrack.messages import AgreedMotion, Announcement, Array, MotionReport, SightingReport
 from swarmtrack.team.adrift import Adrift, sigma_per_axis
+from swarmtrack.team.evidence import fading
 from swarmtrack.team.last_seen import LastSeenRay
 from swarmtrack.team.priors import (
     AGREED_WHITE_M,
@@ -22,7 +23,6 @@ from swarmtrack.team.priors import (
     WAITING_HALF_S,
 )
 from swarmtrack.team.reported_places import Report, ReportedPlaces, SaidPlace
-from swarmtrack.team.track_evidence import fading
 
 # s: so long after the last motion report a place in a report is what tells where it is.
 _MOTION_LASTS_S = 3.0

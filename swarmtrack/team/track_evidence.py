@@ -10,7 +10,7 @@ then on. Earlier bearings still count for the observer's errors, whichever targe
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.deviation import Deviation, DeviationFilters
-from swarmtrack.team.evidence import design
+from swarmtrack.team.evidence import design, fading
 from swarmtrack.team.priors import (
     ATTITUDE_LASTING_SIGMA_RAD,
-    BEARINGS_LAST_S,
     BOX_SIZE_SIGMA_LN,
     DISTANCE_SHARE,
     DISTANCE_STEP_LN,
@@ -43,6 +42,7 @@ from swarmtrack.team.priors import (
     WEAK_PER_S,
 )
 from swarmtrack.team.strangers import KINDS, StrangerFilters
+from swarmtrack.team.unheard import UnheardTrack
 
 # Columns of a sum: M, the log normalisers, and the stranger's log densities.
 _M = slice(0, 64)
@@ -144,11 +144,6 @@ def _no_size(n: int) -> tuple[Array, Array]:
     return np.zeros((len(_DISTANCES), n, 8, 8)), log
 
 
-def fading(dt: float) -> float:
-    """What is left after dt [s] of what bearings said."""
-    return math.exp(-dt / BEARINGS_LAST_S)
-
-
 @dataclass(slots=True, eq=False)
 class TrackEvidence:
     """n teammates are compared with the track; more of them may be added at any time."""
@@ -167,6 +162,8 @@ class TrackEvidence:
     """Whether the tracker has not confirmed it yet."""
     held: int = 0
     """The drone that it was last rather than not; 0: it was none yet."""
+    unheard: UnheardTrack | None = None
+    """While the teammate that it was last says nothing."""
     _hazard: float = 0.0
     """The probability that it went over to another target and no segment began."""
     _begun_t: float = math.nan
@@ -238,6 +235,7 @@ class TrackEvidence:
 
     def remove(self, column: int) -> None:
         """A teammate is compared no more."""
+        self.unheard = None
         self.size, self.size_log = np.delete(self.size, column, 1), np.delete(self.size_log, column, 1)
         self._at, self._camera_at = np.delete(self._at, column), np.delete(self._camera_at, column, 0)
         self._expected, self._sized = np.delete(self._expected, column), np.delete(self._sized, column)
@@ -327,6 +325,11 @@ class TrackEvidence:
         self._at[column], self._camera_at[column], self._expected[column] = bearing.t, bearing.camera, True
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
+
+    def hold_back(self, columns: Sequence[int], log_ratio: float) -> None:
+        """Take a log ratio from what speaks for some teammates."""
+        for segment in self.segments:
+            segment.sum[columns, _LOG] -= log_ratio
 
     def _add_size(self, mates: Compared, along: Array, rho: float) -> None:
         """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.
@@ -427,6 +430,7 @@ class TrackEvidence:
 
     def map_components(self, mapped: Callable[[Array], Array]) -> None:
         """The components are others now: mapped takes (k,) of theirs to (k',)."""
+        self.unheard = None
         if self.whole is not None:
             self.whole = mapped(self.whole)
         for segment in self.segments:
