@@ -103,7 +103,8 @@ class CalibratedCamera(Camera, Protocol):
 
 
 class SimulatedSources(Protocol):
-    """What a simulated flight gives the agent of one drone. initial_pose: world_from_body, in the team frame."""
+    """What a simulated flight gives the agent of one drone. initial_pose: world_from_body, in the team frame;
+    start_sigma_m: how well that start is known, m per axis."""
 
     @property
     def camera(self) -> CalibratedCamera: ...
@@ -111,6 +112,8 @@ class SimulatedSources(Protocol):
     def autopilot(self) -> Autopilot: ...
     @property
     def initial_pose(self) -> Pose: ...
+    @property
+    def start_sigma_m(self) -> float: ...
     def teammates_announcements(self) -> list[Announcement]:
         """Those of teammates that have no agents."""
         ...

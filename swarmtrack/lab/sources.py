@@ -134,6 +134,11 @@ class Simulation:
         """Where this drone starts, in the team frame: what its config would say. world_from_body."""
         return self._scenario.initial_poses[self._drone_id]
 
+    @property
+    def start_sigma_m(self) -> float:
+        """How well its config would say that it was measured, m per axis: as well as its teammates' starts."""
+        return ANNOUNCED_POSITION_SIGMA
+
     def teammates_announcements(self) -> list[Announcement]:
         """What the other drones of this world broadcast: their poses at world time 0, as well as they know them."""
         announcements = []

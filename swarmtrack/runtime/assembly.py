@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from swarmtrack.autopilot.address import is_recording
 from swarmtrack.autopilot.address import parse_address as parse_link
 from swarmtrack.autopilot.engagement import PilotEngagement
@@ -16,11 +18,12 @@ from swarmtrack.autopilot.pilot_switch import PilotSwitch
 from swarmtrack.camera_sources.address import parse_address
 from swarmtrack.camera_sources.detection_stream import DetectionStream
 from swarmtrack.clock import Clock, ManualClock
-from swarmtrack.config.drone import CameraSection, DroneConfig, MountedCamera, mount_camera
+from swarmtrack.config.drone import CameraSection, DroneConfig, MountedCamera, Start, mount_camera
 from swarmtrack.config.formation import fields_of_view
 from swarmtrack.config.team import SwitchSection
 from swarmtrack.errors import ConfigError, SourceError
 from swarmtrack.formation.plan import range_faults, view_faults
+from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import AgreedMotion, Announcement
@@ -115,6 +118,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
             paced = ManualClock(wall.now(), wall.utc())
         clock: Clock = paced or wall
         simulation = make_simulation(config, clock)
+    config = _with_start(config, simulation)
     mounted, cameras = [], []
     for number, section in enumerate(config.cameras):
         with config.blamed(*config.camera_key(number, "calibration")):
@@ -135,7 +139,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     hub = MemoryHub()
     with config.blamed("network"):
         transport, renewal = _transport(config, boot, clock, hub)
-    start = _start(config, simulation)
+    start = None if config.drone.start.source is not None else config.drone.start.pose()
     check_formation(config, mounted, detector)
     box_width = None if detector is None else detector.box_width
     recorder = _recorder(
@@ -231,13 +235,17 @@ def _refuse_video(config: DroneConfig) -> None:
         )
 
 
-def _start(config: DroneConfig, simulation: SimulatedSources | None) -> Pose | None:
-    start = config.drone.start
-    if start.source is not None:
-        return None
-    if simulation is not None and "start" not in config.drone.model_fields_set:
-        return simulation.initial_pose
-    return start.pose()
+def _with_start(config: DroneConfig, simulation: SimulatedSources | None) -> DroneConfig:
+    """The same with the start that a simulation gives, where the config states none."""
+    if simulation is None or "start" in config.drone.model_fields_set:
+        return config
+    pose = simulation.initial_pose
+    start = Start(
+        position_m=tuple(pose.position.tolist()),
+        yaw_deg=float(np.degrees(rotation.to_euler(pose.rotation)[2])),
+        position_sigma_m=simulation.start_sigma_m,
+    )
+    return config.model_copy(update={"drone": config.drone.model_copy(update={"start": start})})
 
 
 def make_autopilot(

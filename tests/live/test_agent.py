@@ -2,7 +2,6 @@
 
 import asyncio
 import json
-import math
 import os
 import re
 import secrets
@@ -159,14 +158,8 @@ def test_a_recorded_gyro_keeps_step_with_frames_at_pace_fast(tmp_path, clip, pac
 
 
 def test_the_simulation_shows_every_teammate_by_its_id(tmp_path):
-    # The same start, but measured well: by announcements alone a start within a metre names nobody for certain.
-    start = load_scenario("hover-triangle", seed=1).initial_poses[1]
-    yaw_deg = math.degrees(math.atan2(start.rotation[1, 0], start.rotation[0, 0]))
-    measured = f"{{ position_m = {start.position.tolist()}, yaw_deg = {yaw_deg}, position_sigma_m = 0.1 }}"
     config = write(
-        tmp_path,
-        f'extends = "{ROOT}/configs/sim.toml"\ndrone.start = {measured}\n'
-        f'output.jsonl = "{tmp_path}/tracks.jsonl"\n',
+        tmp_path, f'extends = "{ROOT}/configs/sim.toml"\noutput.jsonl = "{tmp_path}/tracks.jsonl"\n'
     )
     # Quiet machines have both names within a second; busy ones detect once a second.
     result = run(config, "--seconds", "14")
