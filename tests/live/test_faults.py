@@ -18,10 +18,10 @@ from pathlib import Path
 import pytest
 import pytest_asyncio
 
-from support.crossing import CROSSING
 from support.patience import PATIENCE
 from support.team_in_the_air import Lines, Look, Team, team_in_the_air
 from swarmtrack.lab.swarm.radio import RadioError
+from swarmtrack.transport.limits import PACE_LOG_QUIET_S
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 pytestmark = pytest.mark.asyncio(loop_scope="module")  # as long as the team that they share
@@ -50,6 +50,22 @@ seconds = 60.0
 drones = 3
 ring = { radius_m = 2.9, heights_m = [3.0, 3.5] }
 sway = { amplitude_m = [0.25, 0.25, 0.2], period_s = [6.0, 12.0] }
+
+[camera]
+fps = 10.0
+
+[agents]
+tracks_hz = 25.0
+imu_rate_hz = 50.0
+"""
+CROSSING = """\
+about = "drones cross in the image, again and again"
+seconds = 60.0
+
+[formation]
+drones = 4
+lanes = { gap_m = 5.0, lane_step_m = 2.0, lanes_a_side = 2, spacing_m = 2.4, heights_m = [5.0, 5.4] }
+weave = { reach_m = 1.2, period_s = [10.0, 16.0] }
 
 [camera]
 fps = 10.0
@@ -276,7 +292,9 @@ async def test_a_listener_on_a_narrow_radio_is_served_slowly_and_parts_nobody(
     narrowed = time.monotonic()
     team.emulator.narrow(64.0)
     began, end, departures = await listened(team, seconds)
-    assert any(agent.times("tracks are published less often", narrowed) for agent in agents.values())
+    # It is logged once in a while: a busy machine may have made a radio full shortly before.
+    since = narrowed - PACE_LOG_QUIET_S
+    assert any(agent.times("tracks are published less often", since) for agent in agents.values())
     silence = team.longest_silence(began, end)
     if departures and silence > STANDSTILL_S:
         pytest.skip(
