@@ -1,7 +1,8 @@
 """Who is who over many flights: the Monte Carlo of `virtual_swarm`, judged as `swarmtrack sim` judges.
 
-Crossing, hiding and swinging drones, each seed a flight of its own; shares with 95 % intervals over flights. What only
-processes, clocks and radios can spoil is not in it: that is `swarmtrack bench swarm`.
+Crossing, hiding and swinging drones, each seed a flight of its own; shares with 95 % intervals over flights. In `parted`
+the drones of `crossing` hear only their own side from `PARTED_S` on, and see only the other. What only processes, clocks
+and radios can spoil is not in it: that is `swarmtrack bench swarm`.
 """
 
 from __future__ import annotations
@@ -15,17 +16,21 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.benchmarks.harness import PROCESSES, TRACKER, Flights, Row, scenarios, seeds
-from swarmtrack.benchmarks.virtual_swarm import ObservedScan, VirtualSwarm
+from swarmtrack.benchmarks.virtual_swarm import ObservedScan, Said, VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score.intervals import Interval, mean_interval
 from swarmtrack.lab.score.swarm_score import SCORE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
+from swarmtrack.messages import PeerArrived
 
 SHARES = ("correct", "wrong", "unknown", "agreement")
-SCENARIOS = ("hover-triangle", "crossing", "occlusion", "fast-yaw", "late-joiner", "intruder")
+PARTED = "parted"
+SCENARIOS = ("hover-triangle", "crossing", PARTED, "occlusion", "fast-yaw", "late-joiner", "intruder")
 DRONES = 4
 SECONDS, QUICK_SECONDS = 20.0, 12.0
+# s of flight: by then everybody in view has a name.
+PARTED_S = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,9 +43,18 @@ class Flight:
 
 def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> Flight:
     """One flight, as fast as it computes; the same arguments give the same flight."""
-    flown = load_scenario(scenario, seed=seed, drones=drones)
-    swarm = VirtualSwarm(flown, tracker=tracker)
+    flown = load_scenario("crossing" if scenario == PARTED else scenario, seed=seed, drones=drones)
+    swarm = (PartedSwarm if scenario == PARTED else VirtualSwarm)(flown, tracker=tracker)
     return judge(swarm, flown, seconds)
+
+
+class PartedSwarm(VirtualSwarm):
+    """From `PARTED_S` on the two halves of the team hear nothing of each other."""
+
+    def _deliver(self, sender: int, receiver: int, said: PeerArrived | Said, now: float) -> None:
+        half = sorted(self.scenario.members)[: len(self.scenario.members) // 2]
+        if now < PARTED_S or (sender in half) == (receiver in half):
+            super()._deliver(sender, receiver, said, now)
 
 
 class SwarmJudge:

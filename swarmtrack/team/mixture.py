@@ -233,14 +233,14 @@ class JointMixture:
             track.unheard = None
             return
         if track.unheard is None or track.unheard.drone_id != silent.drone_id:
-            track.unheard = UnheardTrack(silent.drone_id, t, len(self.errors))
+            track.unheard = UnheardTrack(silent.drone_id, t, components=len(self.errors), mates=len(mates))
         elif track.t <= track.unheard.since:
             return  # It was compared with nobody since.
-        others = np.array([mate is not silent for mate in mates])
         since = [segment.since for segment in track.segments]
-        more = track.unheard.held_back(t, since, base, each[:, :, others], used)
-        track.hold_back([mate.column for mate in mates if mate is not silent], more)
-        each[:, :, others] -= more
+        speak = np.array([mate.knows(t) for mate in mates])
+        more = track.unheard.held_back(t, since, base, each, used=used, speak=speak)
+        track.hold_back([mate.column for mate in mates], more)
+        each -= more
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
         """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""

@@ -326,8 +326,8 @@ class TrackEvidence:
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
 
-    def hold_back(self, columns: Sequence[int], log_ratio: float) -> None:
-        """Take a log ratio from what speaks for some teammates."""
+    def hold_back(self, columns: Sequence[int], log_ratio: Array) -> None:
+        """Take a log ratio from what speaks for each of some teammates."""
         for segment in self.segments:
             segment.sum[columns, _LOG] -= log_ratio
 

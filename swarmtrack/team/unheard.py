@@ -21,39 +21,47 @@ from swarmtrack.team.priors import P_MOVES_ALIKE
 
 
 class UnheardTrack:
-    """A track that was last a teammate which has said nothing `since` [s]. drone_id: that teammate; components: how
-    many there are."""
+    """A track that was last a teammate which has said nothing `since` [s]. drone_id: that teammate; components, mates:
+    how many there are."""
 
-    def __init__(self, drone_id: int, since: float, components: int) -> None:
+    def __init__(self, drone_id: int, since: float, *, components: int, mates: int) -> None:
         self.drone_id = drone_id
         self.since = since
-        self._components = components
         self._t = since
-        self._before: Array | None = None
-        """(k, m): log ratio of each component and teammate when the silence began. What spoke against it, and what was
-        not worked out, is 0: all that speaks for it later may be by chance."""
-        self._held_back = 0.0
-        """What was taken from the others' log ratios, as much of it as has not faded."""
+        self._before = np.zeros((components, mates))
+        """Log ratios when the silence began. What spoke against a teammate, and what was not worked out, is 0: all that
+        speaks for it later may be by chance."""
+        self._is_new = True
+        self._held_back = np.zeros(mates)
+        """What was taken from log ratios since, as much of it as has not faded."""
 
     def held_back(
-        self, t: float, since: Sequence[float], base: Array, each: Array, used: NDArray[np.intp]
-    ) -> float:
-        """By how much more the log ratios of all others are too large. since (s,): when each segment began; base (s,
-        len(used)): log evidence of all before it, and each (s, len(used), m): of it, by other teammate; used: the
-        components."""
+        self,
+        t: float,
+        since: Sequence[float],
+        base: Array,
+        each: Array,
+        *,
+        used: NDArray[np.intp],
+        speak: NDArray[np.bool_],
+    ) -> Array:
+        """By how much more the log ratios are too large, (m,); of those who are silent themselves by nothing.
+
+        since (s,): when each segment began; base (s, len(used)): log evidence of all before it, and each (s, len(used),
+        m): of it, by teammate; used: the components; speak (m,): the teammates that the track is compared with.
+        """
         left = fading(t - self._t)
         self._t = t
         self._held_back *= left
+        self._before *= left
         whole = [s for s, begun in enumerate(since) if begun <= self.since]
         nobody = np.logaddexp.reduce(base[whole], axis=0)
         ratio = np.logaddexp.reduce(base[whole][:, :, None] + each[whole], axis=0) - nobody[:, None]
         ratio = ratio + self._held_back
-        if self._before is None:
-            self._before = np.zeros((self._components, ratio.shape[1]))
-            self._before[used] = np.maximum(ratio, 0.0)
-        self._before *= left
-        most = float((ratio - self._before[used]).max(initial=0.0))
-        due = max(np.logaddexp(math.log1p(-P_MOVES_ALIKE), math.log(P_MOVES_ALIKE) + most), 0.0)
-        more = max(float(due) - self._held_back, 0.0)
+        if self._is_new:
+            self._before[used], self._is_new = np.maximum(ratio, 0.0), False
+        most = float((ratio - self._before[used])[:, speak].max(initial=0.0))
+        due = np.logaddexp(math.log1p(-P_MOVES_ALIKE), math.log(P_MOVES_ALIKE) + most)
+        more = np.where(speak, np.maximum(due - self._held_back, 0.0), 0.0)
         self._held_back += more
-        return more
+        return np.asarray(more)

@@ -1,29 +1,41 @@
-"""A teammate that falls silent keeps its track, however well the motion of others fits."""
+"""A teammate that falls silent keeps its track, however well the motion of others fits, unless it is another's."""
 
-from support.crossing import CROSSING
-from swarmtrack.benchmarks.identity.recognition import judge
-from swarmtrack.benchmarks.virtual_swarm import Said, VirtualSwarm
-from swarmtrack.lab.scenarios.files import load_scenario
-from swarmtrack.messages import PeerArrived
+import math
 
-LEFT_SIDE = {1, 2}
-PARTED_S, MET_S, LANDED_S = 9.0, 18.0, 22.0
+from support.observer import SCAN_S, Observer
+from swarmtrack.benchmarks.identity.recognition import PARTED, fly
+from swarmtrack.tracking import DEFAULT_TRACKER
 
-
-class Parted(VirtualSwarm):
-    """In which the two sides hear nothing of each other for a while."""
-
-    def _deliver(self, sender: int, receiver: int, said: PeerArrived | Said, now: float) -> None:
-        if PARTED_S <= now < MET_S and (sender in LEFT_SIDE) != (receiver in LEFT_SIDE):
-            return
-        super()._deliver(sender, receiver, said, now)
+SILENT_S, CROSSING_S, SWAPPED_S = 8.0, 10.0, 12.0
 
 
-def test_a_pair_that_is_silent_is_not_taken_for_one_that_speaks(tmp_path):
+def test_two_that_are_silent_are_not_taken_for_one_that_speaks():
     """All four swing to and fro with about the same period: by some error of the own heading each fits each."""
-    path = tmp_path / "crossing.toml"
-    path.write_text(CROSSING)
-    scenario = load_scenario(path, seed=2)
-    score = judge(Parted(scenario, share_hz=7.0), scenario, LANDED_S).score
+    score = fly(PARTED, 4, 20.0, DEFAULT_TRACKER, seed=2).score
     assert score.wrong == 0.0
     assert score.correct > 0.98
+
+
+def pixel(drone, t):
+    """Drones 2 and 3 change sides within four seconds, and sway a little."""
+    over = 300.0 * min(max((t - CROSSING_S) / 4.0, 0.0), 1.0)
+    if drone == 2:
+        return 170.0 + over + 12.0 * math.sin(0.7 * t), 240.0 + 8.0 * math.sin(0.5 * t)
+    return 470.0 - over + 12.0 * math.sin(0.55 * t + 1.0), 246.0 + 8.0 * math.cos(0.6 * t)
+
+
+def test_one_that_speaks_is_found_in_the_track_of_one_that_is_silent():
+    observer = Observer()
+    for drone in (2, 3):
+        observer.hears(drone, pixel(drone, 0.0))
+    names = {}
+    while observer.t < 17.0:
+        scan = round(observer.t / SCAN_S)
+        for drone, due in ((2, 0), (3, 4)):
+            if scan % 10 == due and not (drone == 2 and observer.t > SILENT_S):
+                observer.is_told(drone, pixel(drone, observer.t))
+        places = [pixel(drone, observer.t + SCAN_S) for drone in (2, 3)]
+        a, b = places if observer.t <= SWAPPED_S else places[::-1]
+        names = observer.sees(SCAN_S, a=a, b=b)
+    assert names["a"] == 3
+    assert names["b"] != 3
