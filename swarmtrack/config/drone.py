@@ -719,6 +719,15 @@ class DroneConfig(LayeredConfig):
         """Whether there is no network, and so no team."""
         return self.network.transport == "memory"
 
+    def starting(self, start: Start) -> DroneConfig:
+        """The same, with a start as if its files stated it: a recording of the flight holds it too."""
+        drone = self.drone.model_copy(update={"start": start})
+        placed = self.model_copy(update={"drone": drone})
+        if self._layers:
+            stated = {"drone": {"start": start.model_dump(mode="json", by_alias=True, exclude_unset=True)}}
+            placed._layers = Layers(self._layers.files, merge(self._layers.table, stated))
+        return placed
+
 
 class TeamConfig(LayeredConfig):
     """What team members other than drones need: the network. The rest of the file is for agents to judge."""

@@ -245,7 +245,7 @@ def _with_start(config: DroneConfig, simulation: SimulatedSources | None) -> Dro
         yaw_deg=float(np.degrees(rotation.to_euler(pose.rotation)[2])),
         position_sigma_m=simulation.start_sigma_m,
     )
-    return config.model_copy(update={"drone": config.drone.model_copy(update={"start": start})})
+    return config.starting(start)
 
 
 def make_autopilot(
