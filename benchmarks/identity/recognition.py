@@ -1,8 +1,8 @@
 """Who is who over many flights: the Monte Carlo of `virtual_swarm`, judged as `swarmtrack sim` judges.
 
-Crossing, hiding and swinging drones, each seed a flight of its own; shares with 95 % intervals over flights. In `parted`
-the drones of `crossing` hear only their own side from `PARTED_S` on, and see only the other. What only processes, clocks
-and radios can spoil is not in it: that is `swarmtrack bench swarm`.
+Crossing, hiding and swinging drones, each seed a flight of its own; shares with 95 % intervals over flights. In
+`parted` the drones of `crossing` hear only their own side from `PARTED_S` on, and see only the other. What only
+processes, clocks and radios can spoil is not in it: that is `swarmtrack bench swarm`.
 """
 
 from __future__ import annotations

@@ -289,8 +289,9 @@ class JointMixture:
         """Probability (n, m) of each track and teammate if all starts were unknown, by the likeliest components."""
         used = np.sort(np.argsort(-self.weight)[:PROOF_COMPONENTS])
         R = np.full((len(used), len(tracks), len(mates)), -np.inf)
+        told = [(track.told(), track.likeliest_segment) for track in tracks]
         for c, mate in enumerate(mates):
-            cases = [track.told().since(track.likeliest_segment, mate.column) for track in tracks]
+            cases = [one.by_motion(segment, mate.column) for one, segment in told]
             M = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _ in cases)])
             marginal = Marginal(M, SOMEWHERE_SIGMA_M**2 * np.eye(3), np.unique(self.errors.spread[used]))
             E = marginal.log_evidence(self._priors[mate.drone_id], self.errors, used, known.heading_sigma)

@@ -43,6 +43,7 @@ from swarmtrack.team.priors import (
     P_ELSEWHERE,
     P_FRAME_KEPT,
     P_HELD,
+    P_SAME_DRONE,
     P_SIZE_LEARNED,
     P_SUPPOSED,
     REBOOTED_M,
@@ -147,9 +148,12 @@ class TeamPosterior:
             known.announce(announcement)
             return
         column = len(self.teammates) if known is None else known.column
-        self.teammates[drone] = Teammate.of(announcement, column, self._agreed[drone])
-        for track in self._tracks.values():
-            track.forget(column) if known else track.grow(len(self.teammates))
+        self.teammates[drone] = mate = Teammate.of(announcement, column, self._agreed[drone])
+        if known is not None:
+            self._carry_on(mate, announcement.t, P_SAME_DRONE)
+        else:
+            for track in self._tracks.values():
+                track.grow(len(self.teammates))
         self._team_has_changed = True
 
     def agree(self, motion: AgreedMotion) -> None:
@@ -215,16 +219,28 @@ class TeamPosterior:
             mate.forget_frame()
             self._carry(mate, t)
 
-    def _carry(self, mate: Teammate, t: float) -> None:
-        """A track that was that teammate still is, whatever the frames; others are compared with it anew."""
+    def _carry_on(self, mate: Teammate, t: float, p_same: float = 1.0) -> None:
+        """The frame of a teammate is another, and not ours: what its track said of the own errors stays."""
+        for id, track in self._tracks.items():
+            p = self.named[id].p.get(mate.drone_id, 0.0) if id in self.named else 0.0
+            if p > P_FRAME_KEPT and track.whole is not None:
+                self.mixture.keep(track.whole, t)
+        self._carry(mate, t, p_same)
+
+    def _carry(self, mate: Teammate, t: float, p_same: float = 1.0) -> None:
+        """A track that was that teammate still is with probability p_same, whatever the frames; others are compared
+        with it anew."""
         for id, track in self._tracks.items():
             named = self.named.get(id)
             p = 0.0 if named is None else named.p.get(mate.drone_id, 0.0)
             if named is None or p < P_SUPPOSED:
                 track.forget(mate.column)
                 continue
-            log_odds = min(math.log(p / max(named.p_none, 1e-9)), CARRIED_MOST)
-            track.carry(mate.column, log_odds - LOG_SEEN + LOG_ANYWHERE, t)
+            log_odds = _carried_log_odds(p, named.p_none, p_same)
+            moved = named.by_motion[mate.drone_id]
+            none_moved = max(1.0 - sum(named.by_motion.values()), 0.0)
+            by_place = max(log_odds - _carried_log_odds(moved, none_moved, p_same), 0.0)
+            track.carry(mate.column, log_odds - LOG_SEEN + LOG_ANYWHERE, t, by_place=by_place)
         self._team_has_changed = True
 
     def observe(self, scan: BearingScan, alive: Collection[int], place: Array, known: OwnKnowledge) -> None:
@@ -240,7 +256,7 @@ class TeamPosterior:
         for mate in self.teammates.values():
             if mate.adrift.found:
                 mate.begin_frame()
-                self._carry(mate, scan.t)
+                self._carry_on(mate, scan.t)
         self._known = OwnKnowledge(self._start_sigma_m, max(known.heading_sigma, HEADING_LEAST_SIGMA_RAD))
         t, scans = scan.t, self._scans[scan.camera]
         scans.append(scan)
@@ -440,3 +456,8 @@ class TeamPosterior:
         return np.asarray(
             design((said.place - mate.start)[None], self._scans[camera][-1].origin - self._start)[0]
         )
+
+
+def _carried_log_odds(p: float, p_none: float, p_same: float) -> float:
+    """Of a track that was a teammate with probability p and nobody with p_none, and still is with p_same."""
+    return min(math.log(max(p_same * p, 1e-9) / max(p_none + (1.0 - p_same) * p, 1e-9)), CARRIED_MOST)

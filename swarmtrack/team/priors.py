@@ -162,6 +162,8 @@ ADRIFT_M, DOUBTS_M, REBOOTED_M = 2.0, 100.0, 1.0
 ADRIFT_LEAST_S = 1.0
 # A name outlives its drone's frame, or ours, by a log ratio of this at most.
 CARRIED_MOST = 5.0
+# Another process that speaks as a teammate is aboard the same drone.
+P_SAME_DRONE = 0.9
 # Log ratios of pairs: below the least they are impossible; above the most, a track is somebody.
 LOG_NONSENSE = -1e6
 LOG_RATIO_LEAST, LOG_RATIO_MOST = -60.0, 60.0

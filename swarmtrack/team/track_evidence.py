@@ -44,11 +44,13 @@ from swarmtrack.team.priors import (
 from swarmtrack.team.strangers import KINDS, StrangerFilters
 from swarmtrack.team.unheard import UnheardTrack
 
-# Columns of a sum: M, the log normalisers, and the stranger's log densities.
+# Columns of a sum: M, the log normalisers, the stranger's log densities, and what of a log ratio that was carried on is
+# by a place.
 _M = slice(0, 64)
 _LOG = 64
 _STRANGER = slice(65, 65 + KINDS)
-_WIDTH = 65 + KINDS
+_BY_PLACE = 65 + KINDS
+_WIDTH = 66 + KINDS
 # s: a bearing so soon after the last is none.
 _LEAST_STEP_S = 0.02
 # ln: distances beside the one that a box says; and of a target whose place is known.
@@ -113,11 +115,12 @@ class Compared(NamedTuple):
 
 
 class Told(NamedTuple):
-    """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), and whether there
-    was any bearing (n,). size, size_log: `TrackEvidence.size`."""
+    """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), what of these is by
+    a place of before (s, n), and whether there was any bearing (n,). size, size_log: `TrackEvidence.size`."""
 
     M: Array
     log: Array
+    by_place: Array
     known: NDArray[np.bool_]
     size: Array
     size_log: Array
@@ -135,6 +138,11 @@ class Told(NamedTuple):
         M, log, whole = self.of(column)
         at = slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
         return M[at], log[at]
+
+    def by_motion(self, segment: int, column: int) -> tuple[Array, Array]:
+        """The same without what a place said."""
+        M, log = self.since(segment, column)
+        return M, log - self.by_place[segment, column]
 
 
 def _no_size(n: int) -> tuple[Array, Array]:
@@ -222,15 +230,15 @@ class TrackEvidence:
             segment.sum[column] = 0.0
             segment.deviation.restart(column)
 
-    def carry(self, column: int, log_ratio: float, t: float) -> None:
-        """What was said of a teammate until t is a log ratio, whatever its frame. Of the segments the likeliest is
-        left: in what was before the others, the old frame speaks."""
+    def carry(self, column: int, log_ratio: float, t: float, *, by_place: float) -> None:
+        """What was said of a teammate until t is a log ratio, whatever its frame; by_place: how much of it motion does
+        not say. Of the segments the likeliest is left: in what was before the others, the old frame speaks."""
         now = self.segments[self.likeliest_segment]
         now.since, now.log_handover, now.base, now.weight = -math.inf, 0.0, None, 1.0
         self.segments, self.whole = [now], None
         self.forget(column)
         self._fade(t)
-        self.segments[0].sum[column, _LOG] = log_ratio
+        self.segments[0].sum[column, [_LOG, _BY_PLACE]] = log_ratio, by_place
         self._at[column], self._sized[column] = t, True
 
     def remove(self, column: int) -> None:
@@ -300,7 +308,7 @@ class TrackEvidence:
             if bearing.t < segment.since:
                 continue
             left, S = segment.deviation.innovations(j, across, d, bearing.t, deviation)
-            said = np.empty((len(j), _WIDTH))
+            said = np.zeros((len(j), _WIDTH))
             said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
             said[:, _LOG] = mates.log_there + 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
             said[:, _STRANGER] = stranger
@@ -410,7 +418,7 @@ class TrackEvidence:
         M = sums[..., _M].reshape(*sums.shape[:2], 8, 8)
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
         log = sums[..., _LOG] - stranger
-        return Told(M, log, self.compared, self.size, self.size_log)
+        return Told(M, log, sums[..., _BY_PLACE], self.compared, self.size, self.size_log)
 
     def bases(self, k: int) -> Array:
         """(s, k): log evidence of all before each segment, with its prior."""

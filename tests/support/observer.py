@@ -57,9 +57,9 @@ class Observer:
         self.reports = 0
         self.said = {}
 
-    def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0, camera=FORWARD):
+    def hears(self, drone_id, pixel, sequence=1, boot="0000000a", metres=8.0, camera=FORWARD, sigma=0.1):
         place = camera.transform(FORWARD.inverse().transform(at(pixel, metres)))
-        return self.hears_at(drone_id, place, sequence, boot)
+        return self.hears_at(drone_id, place, sequence, boot, sigma)
 
     def hears_at(self, drone_id, place, sequence=1, boot="0000000a", sigma=0.1):
         """place (3,) ± sigma m: from the observer, which faces north."""

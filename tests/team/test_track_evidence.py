@@ -65,10 +65,11 @@ def test_a_segment_waits_for_its_first_bearing_and_what_comes_until_then_is_of_b
 def test_what_is_said_of_a_teammate_is_carried_into_another_frame_as_one_number():
     track = flown([0.0, 0.5, 1.0, 1.5], begin=1.2)
     others = track.told().M[0][[0, 2]]
-    track.carry(1, 4.0, 1.5)
+    track.carry(1, 4.0, 1.5, by_place=3.0)
     told = track.told()
     assert len(track.segments) == 1
     assert told.log[0, 1] == pytest.approx(4.0)
+    assert told.by_motion(0, 1)[1] == pytest.approx(1.0)
     assert not told.M[0, 1].any()
     assert told.M[0][[0, 2]] == pytest.approx(others)
     add(track, 2.0, np.random.default_rng(20))
