@@ -177,6 +177,7 @@ class Identities:
         self._alive = {track.id: track for track in tracks}
         self._looked[camera] = t
         shown = [track for track in self._alive.values() if track.camera == camera]
+        self._posterior.unlocated = self.teammates.unlocated
         self._posterior.observe(
             _bearings(shown, view),
             self._alive.keys(),

@@ -22,11 +22,11 @@ from swarmtrack.team.own_errors import ConfigFault, OwnErrors
 from swarmtrack.team.priors import (
     DOUBTING_PADS_RATIO,
     HEADING_LEAST_SIGMA_RAD,
+    LOG_ANYWHERE,
     LOG_NONSENSE,
     LOG_RATIO_LEAST,
     LOG_RATIO_MOST,
     LOG_SEEN,
-    LOG_SEEN_SOMEWHERE,
     LOG_SLEEPS,
     OWN_ERRORS_LAST_S,
     P_HELD,
@@ -53,12 +53,16 @@ class OwnKnowledge(NamedTuple):
 
 class JointMixture:
     """`weight` (k,) of the components; `p_fault`: the probability that the own heading or start is wrong; `is_settled`:
-    whether one component, and each track's name, is sure."""
+    whether one component, and each track's name, is sure.
+
+    log_seen: prior log odds that a track is a teammate which says where it is, and no other drone or ghost.
+    """
 
     def __init__(self, own: int) -> None:
         """own: our ID."""
         self.errors = OwnErrors(own, {own: np.zeros(3)})
         self.p_fault = 0.0
+        self.log_seen = LOG_SEEN
         self._priors: dict[int, TeammatePrior] = {}
         self._told = np.zeros(len(self.errors))
         self._told_t = 0.0
@@ -198,6 +202,7 @@ class JointMixture:
         if mate.doubting:
             log_w = log_w + math.log(DOUBTING_PADS_RATIO) * self.errors.permuted(mate.drone_id)[used]
         E = E - E[0]
+        other = E
         if mate.p_supposed:
             other = self._evidence(mate, mate.supposed(t) + new, used, known)
             other = other - other[0]
@@ -205,9 +210,14 @@ class JointMixture:
         at = 1
         for track, found, (M, weight, whole), into in zip(tracks, told, cases, each, strict=True):
             if found.known[mate.column]:
-                log = E[at : at + len(M)] + weight[:, None]
-                seen = LOG_SEEN if mate.knows_start else LOG_SEEN_SOMEWHERE
-                log[:whole] += seen + track.log_weak(t)
+                back = 0.0
+                if mate.p_supposed and track.may_return(mate.drone_id, mate.supposed_t):
+                    fit = float((other[at : at + whole] + weight[:whole, None]).max())
+                    # The track that ended may have been a stranger, which comes back as readily.
+                    back = float(np.logaddexp(0.0, self.log_seen + math.log(1.0 - mate.p_supposed) + fit))
+                    track.hold_back([mate.column], back)
+                log = E[at : at + len(M)] + weight[:, None] - back
+                log[:whole] += self.log_seen + (0.0 if mate.knows_start else LOG_ANYWHERE) + track.log_weak(t)
                 # Whoever takes over a track may be any of the team.
                 log[whole:] -= math.log(len(self._priors))
                 if whole > 1:
@@ -302,7 +312,7 @@ class JointMixture:
                     R[:, i, c] = np.logaddexp.reduce(E[at:end] - E[0] + weight[:, None], axis=0)
                 at = end
         w = self.weight[used] / float(self.weight[used].sum())
-        return np.asarray(np.tensordot(w, _matched(R + LOG_SEEN_SOMEWHERE).probability, axes=1))
+        return np.asarray(np.tensordot(w, _matched(R + self.log_seen + LOG_ANYWHERE).probability, axes=1))
 
     # --- where they are ---
 

@@ -46,11 +46,13 @@ from swarmtrack.team.priors import (
     P_SAME_DRONE,
     P_SIZE_LEARNED,
     P_SUPPOSED,
+    P_UNLOCATED_SEEN,
     REBOOTED_M,
     REPORT_WAIT_S,
     ROUND_NEAR_S,
     ROUND_S,
     START_LEAST_SIGMA_M,
+    STRANGERS_SEEN,
     TRACKED_ERROR_LASTS_S,
 )
 from swarmtrack.team.reported_places import SaidPlace
@@ -101,6 +103,8 @@ class TeamPosterior:
         self.teammates: dict[int, Teammate] = {}
         self.named: dict[int, Named] = {}
         self.mixture = JointMixture(own)
+        self.unlocated = 0
+        """How many teammates live and have not said where; each may be any track."""
         self._start: Array | None = None
         self._start_sigma_m = max(start_sigma_m, START_LEAST_SIGMA_M)
         self._adrift = Adrift(self._start_sigma_m)
@@ -273,6 +277,8 @@ class TeamPosterior:
             if not bearing.weak and (self._team_has_changed or id not in self._tracks)
         ]
         self._compare(scan, new, self.teammates.values())
+        if self._team_has_changed:
+            self._compare_undetected(scan)
         compared |= self._follow(scan) and t - self._weighed >= ROUND_S
         is_due = t - self._weighed >= CALM_WEIGHED_EVERY_S
         if new or self._team_has_changed or is_due or (compared and not self._is_calm):
@@ -345,6 +351,13 @@ class TeamPosterior:
             of = compared.only(knows | ~track.compared[compared.columns])
             track.add(scan.bearings[id], of, scan.bearings[id].camera - self._start)
 
+    def _compare_undetected(self, scan: BearingScan) -> None:
+        """Compare tracks that a scan did not detect with a teammate that has just come, by their last bearings: else it
+        would be the only one that they cannot be."""
+        last = {id: kept for scans in self._scans for kept in scans for id in kept.bearings}
+        for id in self._tracks.keys() & last.keys() - scan.bearings.keys():
+            self._compare(last[id], [id], self.teammates.values())
+
     def _expect(self, id: int, scan: BearingScan, mates: Collection[Teammate]) -> None:
         """Compare a new track with where teammates were seen that have said nothing since, and are not seen now."""
         track, bearing = self._tracks[id], scan.bearings[id]
@@ -390,7 +403,7 @@ class TeamPosterior:
         drone, p = named.likeliest
         mate, best = self.teammates.get(drone), track.likeliest_segment
         if mate is not None and mate.knows_start and P_SUPPOSED < p <= P_FRAME_KEPT:
-            mate.suppose(track.told().M[best, mate.column], p, t)
+            mate.suppose(track.told().M[best, mate.column], p, t, track.t)
         if t - sure_t > BELIEVED_ENDED_S:
             return
         told = track.whole
@@ -410,6 +423,7 @@ class TeamPosterior:
             self._set_team()
         mates = list(self.teammates.values())
         ids, tracks = [mate.drone_id for mate in mates], list(self._tracks.values())
+        self.mixture.log_seen = LOG_SEEN - math.log1p(self.unlocated * P_UNLOCATED_SEEN / STRANGERS_SEEN)
         P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
         by_motion = self.mixture.by_motion(tracks, mates, self._known).tolist()
         for id, p, moved in zip(self._tracks, P, by_motion, strict=True):

@@ -132,10 +132,11 @@ STRANGER_PARALLAX_SIGMA = 0.4
 # others are seen, those that have none, and strangers in a picture.
 P_TEAMMATE_SEEN, P_TEAMMATE_MISSED, STRANGERS_SEEN = 0.9, 0.3, 0.2
 LOG_SEEN = math.log(P_TEAMMATE_SEEN / P_TEAMMATE_MISSED / STRANGERS_SEEN)
-# The same of a teammate that may stand anywhere around: that it is in the picture at all is known from the track.
+# A teammate of which nobody knows where it is: it is in the picture, and may be any track.
+P_UNLOCATED_SEEN = 0.4
+# Of a teammate that may stand anywhere around: that it is in the picture at all is known from the track.
 LOG_ANYWHERE = math.log(4.0 * math.pi)
-LOG_SEEN_SOMEWHERE = LOG_SEEN + LOG_ANYWHERE
-# The same of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a
+# Of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a
 # quarter.
 LOG_WEAK = math.log(0.25 / 3.0)
 # A teammate's track is confirmed within so long, or the less likely by that rate [nats] up to that.

@@ -57,6 +57,8 @@ class Teammate:
     seen: LastSeenRay | None = None
     p_supposed: float = 0.0
     """The probability that the last track that may have been it was it."""
+    supposed_t: float = 0.0
+    """When that track was seen last, s."""
     _supposed: Array = field(default_factory=lambda: np.zeros((8, 8)))
 
     @classmethod
@@ -156,9 +158,9 @@ class Teammate:
         self._told, self._told_t = self.told(t) + M, t
         self.p_supposed = 0.0
 
-    def suppose(self, M: Array, p: float, t: float) -> None:
-        """A track has ended that was this drone with probability p."""
-        self._told, self._told_t = self.told(t), t
+    def suppose(self, M: Array, p: float, t: float, last_t: float) -> None:
+        """A track has ended that was this drone with probability p, and was seen at last_t [s]."""
+        self._told, self._told_t, self.supposed_t = self.told(t), t, last_t
         self._supposed, self.p_supposed = M, p
 
     def begin_frame(self) -> None:

@@ -172,6 +172,8 @@ class TrackEvidence:
     """The drone that it was last rather than not; 0: it was none yet."""
     unheard: UnheardTrack | None = None
     """While the teammate that it was last says nothing."""
+    _returned: set[int] = field(default_factory=set)
+    """The drones of which was asked whether this track is theirs come back."""
     _hazard: float = 0.0
     """The probability that it went over to another target and no segment began."""
     _begun_t: float = math.nan
@@ -240,6 +242,13 @@ class TrackEvidence:
         self._fade(t)
         self.segments[0].sum[column, [_LOG, _BY_PLACE]] = log_ratio, by_place
         self._at[column], self._sized[column] = t, True
+
+    def may_return(self, drone_id: int, since: float) -> bool:
+        """Whether this track begins after `since` [s], when one was seen last that may have been that drone; only the
+        first time."""
+        is_first = drone_id not in self._returned
+        self._returned.add(drone_id)
+        return is_first and self._begun_t > since
 
     def remove(self, column: int) -> None:
         """A teammate is compared no more."""
@@ -334,7 +343,7 @@ class TrackEvidence:
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
 
-    def hold_back(self, columns: Sequence[int], log_ratio: Array) -> None:
+    def hold_back(self, columns: Sequence[int], log_ratio: Array | float) -> None:
         """Take a log ratio from what speaks for each of some teammates."""
         for segment in self.segments:
             segment.sum[columns, _LOG] -= log_ratio

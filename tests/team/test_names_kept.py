@@ -328,3 +328,35 @@ def test_where_a_drone_is_that_another_camera_saw_is_known_the_less_the_faster_i
 
 def sighted(observer):
     return sorted(ray.drone_id for ray, _ in observer.identities.sightings(observer.t))
+
+
+def test_a_track_that_may_have_been_a_teammate_is_no_surer_when_it_comes_back():
+    """Drone 2 says that it is behind the observer: either its start is wrong, or what is seen is a stranger."""
+    observer = Observer()
+    observer.hears_at(2, np.array([-6.0, 5.0, 0.0]))
+    spot = (400.0, 250.0)
+    assert observer.sees(3.0, a=spot) == {"a": None}
+    observer.sees(0.5)
+    assert observer.sees(1.0, b=shifted(spot, right=4.0)) == {"b": None}
+
+
+def test_an_undetected_track_is_compared_with_whoever_has_just_come():
+    """Drone 3 speaks twice, and its track has just left the picture when that ends: it is not drone 2 on 3's pad."""
+    observer = Observer()
+    observer.hears(2, LEFT)
+    observer.hears(3, RIGHT)
+    observer.identities.on_membership(IdClash(3, ("0000000a", "0000000c"), ours=False))
+    assert observer.sees(4.0, b=RIGHT) == {"b": None}
+    observer.sees(0.5, coasting=("b",), b=RIGHT)
+    observer.identities.on_membership(PeerDeparted(3, "0000000c"))
+    observer.hears(3, RIGHT)
+    assert observer.sees(SCAN_S, coasting=("b",), b=RIGHT) == {"b": 3}
+
+
+def test_a_track_may_be_a_teammate_that_has_not_said_where_it_is():
+    observer = Observer()
+    observer.hears(2, LEFT, sigma=4.0)
+    observer.identities.on_membership(PeerArrived(3, "0000000b"))
+    assert observer.sees(1.0, a=LEFT) == {"a": None}
+    observer.identities.on_membership(PeerDeparted(3, "0000000b"))
+    assert observer.sees(1.0, a=LEFT) == {"a": 2}
