@@ -11,6 +11,7 @@ from swarmtrack.detection.detector import Detector
 from swarmtrack.relative.box_width import BoxWidth
 
 
+@pytest.mark.long("draws two flights for the second stage; the default run draws one for the detector alone")
 def test_spans_that_the_shipped_second_stage_tells_are_as_wide_as_its_metadata_say(tmp_path):
     result = bench.BENCH.publish(tmp_path, seeds=2, processes=1)
     said = Detector().second_stage.box_width

@@ -15,8 +15,8 @@ from support.golden.parts import PARTS
     [
         pytest.param(
             name,
-            marks=pytest.mark.long("flies benchmarks for a minute; the flights are in the default run")
-            if name == "tables"
+            marks=pytest.mark.long("replays and flies for two minutes; `.ci/run` does")
+            if name in ("flights", "tables")
             else (),
         )
         for name in PARTS

@@ -11,7 +11,7 @@ SILENT_S, CROSSING_S, SWAPPED_S = 8.0, 10.0, 12.0
 
 def test_two_that_are_silent_are_not_taken_for_one_that_speaks():
     """All four swing to and fro with about the same period: by some error of the own heading each fits each."""
-    score = fly(PARTED, 4, 20.0, DEFAULT_TRACKER, seed=2).score
+    score = fly(PARTED, 4, 11.0, DEFAULT_TRACKER, seed=1).score
     assert score.wrong == 0.0
     assert score.correct > 0.98
 

@@ -19,7 +19,7 @@ from swarmtrack.lab.world.sensors import Ego, EgoParameters, Imu, ImuParameters
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array
 
-SEEDS = range(24)
+SEEDS = range(12)
 NO_NOISE = ImuParameters(
     gyro_noise_density=0.0, gyro_bias_sigma=0.0, accel_noise_density=0.0, accel_bias_sigma=0.0
 )
