@@ -82,6 +82,11 @@ class RateLimiter:
         return f"; the radio is full, tracks give way: {self._pacing.bytes_s / 125.0:.0f} kbit/s"
 
     @property
+    def finds_a_queue(self) -> bool:
+        """Whether packets wait, as far as tracks show it."""
+        return bool(self._listened) and self._pacing.may_be_full
+
+    @property
     def is_limited(self) -> bool:
         """Whether messages had better be short."""
         return bool(self._listened) and self._listeners > 0 and self._pacing.is_limited

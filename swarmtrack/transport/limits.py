@@ -44,6 +44,8 @@ QUESTION_BACK_OFFS: Final = 6
 QUESTION_REST_S: Final = 9.6
 # Leases without a word, until something is done; and the first period in which it is not done again for that teammate.
 REOPEN_LEASES: Final = 2.0
+# So many times as long where packets wait: words may wait behind them, and new links would add to them.
+QUEUE_PATIENCE: Final = 4.0
 REMEDY_PERIOD_S: Final = 600.0
 # Between two times that all links are made again, for different teammates; a start with two fifths lost takes ten.
 REOPEN_REST_S: Final = 15.0
@@ -95,7 +97,7 @@ PACE_WORSE: Final = 2.0
 # Looks of which the median counts in a trial: two seconds.
 PACE_USUAL_LOOKS: Final = 10
 # Growth in a second: before packets waited, and after.
-PACE_QUICK_GROWTH, PACE_CAREFUL_GROWTH = 2.0, 1.2
+PACE_QUICK_GROWTH, PACE_CAREFUL_GROWTH = 2.0, 1.25
 PACE_BURST_S: Final = 0.4
 # Times what is asked for: no limit then.
 PACE_UNLIMITED_FACTOR: Final = 2.0

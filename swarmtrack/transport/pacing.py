@@ -6,8 +6,9 @@ than is left, so that one larger than the bucket is sent eventually.
 
 The rate is unlimited until packets wait (`congestion`). Packets also wait for other reasons: a long way, losses, frames
 that a radio does not carry. Full is what a lower rate makes quicker. So the first sign starts a trial: for a few
-seconds little is sent. If packets wait for less time then, the radio was full: the rate is cut, again while they
-wait, and grows by a fifth each second until it exceeds the demand. If the trial shortened nothing, it is taken back,
+seconds little is sent. If packets wait for less time then, the radio was full: the rate begins at the least, is cut
+while they wait, and grows by a quarter each second until it exceeds the demand. (What was sent before the trial, cut by
+a third, still filled the radio for seconds, and lives were missed.) If the trial shortened nothing, it is taken back,
 and not repeated for a while that doubles each time, unless the waiting gets much worse.
 
 After a link came or went the rate begins low, so that the radio is not full before that can be measured. But for
@@ -94,6 +95,11 @@ class Pacing:
         return self._trial is None and self._growth == PACE_CAREFUL_GROWTH
 
     @property
+    def may_be_full(self) -> bool:
+        """Whether packets wait: the radio was found to be full, or a trial is to show whether it is."""
+        return self._trial is not None or self.is_full
+
+    @property
     def gives_way(self) -> bool:
         """Whether the rate is below the demand because the radio is full, or because of the budget; not because of a
         new link or a trial.
@@ -161,7 +167,7 @@ class Pacing:
         self._trial = None
         if over or usual.delay_s > PACE_DEEP_QUEUE_S or usual.is_shorter(trial.worst, PACE_TRIAL_SHORTER):
             self._worst, self._low_since = trial.worst, now
-            self._cut(trial.sent, now)
+            self._cut(self._least, now)
         else:
             self._take_back(trial, now)
 

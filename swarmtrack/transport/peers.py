@@ -179,9 +179,12 @@ class Peers:
         now = asyncio.get_running_loop().time()
         return tuple(sorted(self._silence.silent(self._present(linked), now)))
 
-    def listen_for_silence(self, linked: Collection[int], ask: Callable[[int], None]) -> Remedies:
+    def listen_for_silence(
+        self, linked: Collection[int], ask: Callable[[int], None], *, queued: bool
+    ) -> Remedies:
         """Log silent teammates, query them, and return what is to be done for whom. To be called twice per second.
-        linked: names whose links are up, by their certificates; ask: queries whether a drone lives.
+        linked: names whose links are up, by their certificates; ask: queries whether a drone lives; queued: packets
+        wait.
         """
         now = asyncio.get_running_loop().time()
         present = self._present(linked)
@@ -189,7 +192,8 @@ class Peers:
             log.warning("%s", line)
         for drone_id in self._silence.to_ask(present, now):
             ask(drone_id)
-        return Remedies(self._silence.to_reopen(present, now), self._silence.to_repeat(present, now))
+        reopen = self._silence.to_reopen(present, now, queued=queued)
+        return Remedies(reopen, self._silence.to_repeat(present, now))
 
     def _present(self, linked: Collection[int]) -> set[int]:
         return {*self._membership.peers, *linked} - {self._drone_id}

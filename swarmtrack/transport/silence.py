@@ -15,7 +15,8 @@ Remedies. Zenoh cannot close a link to a single peer. Links are closed, all of t
 over them: a teammate that is silent while others are heard is deaf or mute itself. What may have been lost of *our*
 declarations is cheaper: where a linked teammate was never heard, or reports without having our announcement, we declare
 ourselves again over the links that stand. Each has a budget per teammate that no word of it renews: once in ten
-minutes, then twice as long.
+minutes, then twice as long. Where packets wait in a full radio (`pacing`), a word may be among them, and links are
+closed much later: new ones would be more for the radio to carry.
 
 Pure state; times by any clock [s].
 """
@@ -30,6 +31,7 @@ from swarmtrack.transport.limits import (
     ASK_AFTER_SILENCE_S,
     QUESTION_BACK_OFFS,
     QUESTION_REST_S,
+    QUEUE_PATIENCE,
     REMEDY_PERIOD_S,
     REOPEN_LEASES,
     REOPEN_REST_S,
@@ -167,13 +169,14 @@ class Silence:
             *(f"network: drone {d} is received again" for d in sorted(back)),
         ]
 
-    def to_reopen(self, present: Iterable[int], now: float) -> list[int]:
-        """Teammates for which all links are to be closed and opened again; none while any is heard."""
+    def to_reopen(self, present: Iterable[int], now: float, *, queued: bool = False) -> list[int]:
+        """Teammates for which all links are to be closed and opened again; none while any is heard. queued: packets
+        wait, and words may be among them."""
         here = set(present)
         silent = self.silent(here, now)
         if silent.keys() != here or now - self._reopened_at < REOPEN_REST_S:
             return []
-        bearable = REOPEN_LEASES * self._patience_s
+        bearable = REOPEN_LEASES * self._patience_s * (QUEUE_PATIENCE if queued else 1.0)
         deaf = sorted(d for d, s in silent.items() if s > bearable and self._reopening.allows(d, now))
         if deaf:
             self._reopening.spend(deaf, now)

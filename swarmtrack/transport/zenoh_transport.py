@@ -163,7 +163,8 @@ class ZenohTransport:
             if self._session is None:
                 continue
             ask = partial(self._ask, (keys.LIFE,))
-            remedies = self._peers.listen_for_silence(self._linked(links_up(self._session)), ask)
+            linked, queued = self._linked(links_up(self._session)), self._giving_way.finds_a_queue
+            remedies = self._peers.listen_for_silence(linked, ask, queued=queued)
             if remedies.reopen:
                 whom = ", ".join(map(str, remedies.reopen))
                 log.warning("network: drone %s is still silent, though linked: links are renewed", whom)

@@ -64,6 +64,13 @@ def test_where_nobody_is_heard_links_are_made_again_once_in_ten_minutes_and_then
     assert renewed == [4.5, 604.5, 1804.5]
 
 
+def test_where_packets_wait_a_silent_teammate_is_given_four_times_as_long() -> None:
+    silence = Silence(LEASE_S)
+    silence.news([2], 0.0)
+    assert silence.to_reopen([2], 15.5, queued=True) == []
+    assert silence.to_reopen([2], 16.5, queued=True) == [2]
+
+
 def test_links_are_left_in_peace_for_a_while_after_they_were_made_anew() -> None:
     silence = Silence(LEASE_S)
     silence.news([2], 0.0)
