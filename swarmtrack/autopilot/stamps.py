@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 from swarmtrack.autopilot.boot_clock import BootClock, CopyMemory, StampStep
-from swarmtrack.autopilot.limits import COPIES_EXPECTED_S
+from swarmtrack.autopilot.limits import COPIES_EXPECTED_S, REBOOT_SLACK_S, SHORTEST_REBOOT_S
 
 
 class AutopilotStamps:
@@ -33,6 +33,7 @@ class AutopilotStamps:
         """What the stamp `raw` [s] is to its kind of message, None: a copy's; and the stamp without wraps."""
         message_id = message.get_msgId()
         clock = self._clocks.get(message_id)
+        reboots = clock is None and self._is_early(t, raw, wrap_s)
         if clock is None:
             clock = self._clocks[message_id] = BootClock(wrap_s)
         if self._memory.has(t, message_id, bytes(message.get_payload())) and not clock.may_be_reboot(t, raw):
@@ -41,6 +42,7 @@ class AutopilotStamps:
         near = None if self._read is None else self._read[1] + t - self._read[0]
         turns = clock.turns
         step, stamp = clock.read(t, raw, near)
+        step = StampStep.REBOOT if reboots else step
         if step is StampStep.NEXT:
             self._read = t, stamp
             if clock.turns > turns:
@@ -50,6 +52,16 @@ class AutopilotStamps:
             self._clocks = {message_id: clock}
             self._read = t, stamp
         return step, stamp
+
+    def _is_early(self, t: float, raw: float, wrap_s: float) -> bool:
+        """Whether a kind of message that was not there before is of another boot: an autopilot sends what it always
+        does before it is asked for more."""
+        if self._read is None:
+            return False
+        silence = t - self._read[0]
+        behind = self._read[1] + silence - raw
+        differs = behind > SHORTEST_REBOOT_S < abs(math.remainder(behind, wrap_s))
+        return differs and silence >= SHORTEST_REBOOT_S and 0.0 < raw <= silence + REBOOT_SLACK_S
 
     def is_copy(self, t: float, message_id: int, frame: bytes) -> bool:
         """Whether a message without a stamp is a copy: only while others come twice, for its content may recur."""
