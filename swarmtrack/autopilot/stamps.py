@@ -60,8 +60,9 @@ class AutopilotStamps:
             return False
         silence = t - self._read[0]
         behind = self._read[1] + silence - raw
-        differs = behind > SHORTEST_REBOOT_S < abs(math.remainder(behind, wrap_s))
-        return differs and silence >= SHORTEST_REBOOT_S and 0.0 < raw <= silence + REBOOT_SLACK_S
+        is_wrap = abs(math.remainder(behind, wrap_s)) <= SHORTEST_REBOOT_S
+        is_young = 0.0 < raw <= silence + REBOOT_SLACK_S
+        return silence >= SHORTEST_REBOOT_S < behind and is_young and not is_wrap
 
     def is_copy(self, t: float, message_id: int, frame: bytes) -> bool:
         """Whether a message without a stamp is a copy: only while others come twice, for its content may recur."""

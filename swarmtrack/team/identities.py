@@ -177,12 +177,12 @@ class Identities:
         self._alive = {track.id: track for track in tracks}
         self._looked[camera] = t
         shown = [track for track in self._alive.values() if track.camera == camera]
-        self._posterior.unlocated = self.teammates.unlocated
         self._posterior.observe(
             _bearings(shown, view),
             self._alive.keys(),
             observer.position,
             OwnKnowledge(observer.position_sigma, math.sqrt(float(observer.attitude_cov[2, 2]))),
+            unlocated=self.teammates.unlocated,
         )
         self._name(t)
         self._prove(t)

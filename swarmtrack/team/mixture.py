@@ -31,12 +31,14 @@ from swarmtrack.team.priors import (
     OWN_ERRORS_LAST_S,
     P_HELD,
     P_SETTLED,
+    P_UNLOCATED_SEEN,
     PLACE_COMPONENTS,
     PROOF_COMPONENTS,
     SLEEPERS_PARTS,
     SLEEPERS_PARTS_DOUBTFUL,
     SOMEWHERE_SIGMA_M,
     START_LEAST_SIGMA_M,
+    STRANGERS_SEEN,
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
@@ -53,16 +55,14 @@ class OwnKnowledge(NamedTuple):
 
 class JointMixture:
     """`weight` (k,) of the components; `p_fault`: the probability that the own heading or start is wrong; `is_settled`:
-    whether one component, and each track's name, is sure.
-
-    log_seen: prior log odds that a track is a teammate which says where it is, and no other drone or ghost.
-    """
+    whether one component, and each track's name, is sure; `unlocated`: how many teammates live and have not said where,
+    each of which may be any track."""
 
     def __init__(self, own: int) -> None:
         """own: our ID."""
         self.errors = OwnErrors(own, {own: np.zeros(3)})
         self.p_fault = 0.0
-        self.log_seen = LOG_SEEN
+        self.unlocated = 0
         self._priors: dict[int, TeammatePrior] = {}
         self._told = np.zeros(len(self.errors))
         self._told_t = 0.0
@@ -75,6 +75,11 @@ class JointMixture:
         self._p_heading_off = np.zeros(len(self.errors))
         self._part = 0
         self.is_settled = False
+
+    @property
+    def log_seen(self) -> float:
+        """Prior log odds that a track is a teammate which says where it is, and no other drone or ghost."""
+        return LOG_SEEN - math.log1p(self.unlocated * P_UNLOCATED_SEEN / STRANGERS_SEEN)
 
     def set_team(
         self, drones: Collection[int], pads: Mapping[int, Array], tracks: Sequence[TrackEvidence]

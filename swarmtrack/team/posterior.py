@@ -38,7 +38,6 @@ from swarmtrack.team.priors import (
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
-    LOG_SEEN,
     P_BELIEVED,
     P_ELSEWHERE,
     P_FRAME_KEPT,
@@ -46,13 +45,11 @@ from swarmtrack.team.priors import (
     P_SAME_DRONE,
     P_SIZE_LEARNED,
     P_SUPPOSED,
-    P_UNLOCATED_SEEN,
     REBOOTED_M,
     REPORT_WAIT_S,
     ROUND_NEAR_S,
     ROUND_S,
     START_LEAST_SIGMA_M,
-    STRANGERS_SEEN,
     TRACKED_ERROR_LASTS_S,
 )
 from swarmtrack.team.reported_places import SaidPlace
@@ -103,8 +100,6 @@ class TeamPosterior:
         self.teammates: dict[int, Teammate] = {}
         self.named: dict[int, Named] = {}
         self.mixture = JointMixture(own)
-        self.unlocated = 0
-        """How many teammates live and have not said where; each may be any track."""
         self._start: Array | None = None
         self._start_sigma_m = max(start_sigma_m, START_LEAST_SIGMA_M)
         self._adrift = Adrift(self._start_sigma_m)
@@ -154,7 +149,7 @@ class TeamPosterior:
         column = len(self.teammates) if known is None else known.column
         self.teammates[drone] = mate = Teammate.of(announcement, column, self._agreed[drone])
         if known is not None:
-            self._carry_on(mate, announcement.t, P_SAME_DRONE)
+            self._carry(mate, announcement.t, p_same=P_SAME_DRONE, is_ours=False)
         else:
             for track in self._tracks.values():
                 track.grow(len(self.teammates))
@@ -221,35 +216,39 @@ class TeamPosterior:
         self.mixture.forget()
         for mate in self.teammates.values():
             mate.forget_frame()
-            self._carry(mate, t)
+            self._carry(mate, t, is_ours=True)
 
-    def _carry_on(self, mate: Teammate, t: float, p_same: float = 1.0) -> None:
-        """The frame of a teammate is another, and not ours: what its track said of the own errors stays."""
-        for id, track in self._tracks.items():
-            p = self.named[id].p.get(mate.drone_id, 0.0) if id in self.named else 0.0
-            if p > P_FRAME_KEPT and track.whole is not None:
-                self.mixture.keep(track.whole, t)
-        self._carry(mate, t, p_same)
-
-    def _carry(self, mate: Teammate, t: float, p_same: float = 1.0) -> None:
+    def _carry(self, mate: Teammate, t: float, *, p_same: float = 1.0, is_ours: bool) -> None:
         """A track that was that teammate still is with probability p_same, whatever the frames; others are compared
-        with it anew."""
+        with it anew. is_ours: our frame is another, and not that of the teammate alone, of which the track has said
+        what stays of our errors."""
         for id, track in self._tracks.items():
             named = self.named.get(id)
             p = 0.0 if named is None else named.p.get(mate.drone_id, 0.0)
             if named is None or p < P_SUPPOSED:
                 track.forget(mate.column)
                 continue
+            if not is_ours and p > P_FRAME_KEPT and track.whole is not None:
+                self.mixture.keep(track.whole, t)
             log_odds = _carried_log_odds(p, named.p_none, p_same)
             moved = named.by_motion[mate.drone_id]
             none_moved = max(1.0 - sum(named.by_motion.values()), 0.0)
-            by_place = max(log_odds - _carried_log_odds(moved, none_moved, p_same), 0.0)
-            track.carry(mate.column, log_odds - LOG_SEEN + LOG_ANYWHERE, t, by_place=by_place)
+            more = max(log_odds - _carried_log_odds(moved, none_moved, p_same), 0.0) + LOG_ANYWHERE
+            track.carry(mate.column, log_odds - self.mixture.log_seen + LOG_ANYWHERE, t, by_place=more)
         self._team_has_changed = True
 
-    def observe(self, scan: BearingScan, alive: Collection[int], place: Array, known: OwnKnowledge) -> None:
+    def observe(
+        self,
+        scan: BearingScan,
+        alive: Collection[int],
+        place: Array,
+        known: OwnKnowledge,
+        *,
+        unlocated: int = 0,
+    ) -> None:
         """alive: the tracks of all cameras; place (3,) m: of this drone, team frame, as well known as its autopilot
-        says."""
+        says; unlocated: how many teammates live and have not said where."""
+        self.mixture.unlocated = unlocated
         if self._start is None:
             self._start = place.copy()
             self._adrift.first = math.hypot(self._adrift.first, known.start_sigma_m)
@@ -260,7 +259,7 @@ class TeamPosterior:
         for mate in self.teammates.values():
             if mate.adrift.found:
                 mate.begin_frame()
-                self._carry_on(mate, scan.t)
+                self._carry(mate, scan.t, is_ours=False)
         self._known = OwnKnowledge(self._start_sigma_m, max(known.heading_sigma, HEADING_LEAST_SIGMA_RAD))
         t, scans = scan.t, self._scans[scan.camera]
         scans.append(scan)
@@ -423,7 +422,6 @@ class TeamPosterior:
             self._set_team()
         mates = list(self.teammates.values())
         ids, tracks = [mate.drone_id for mate in mates], list(self._tracks.values())
-        self.mixture.log_seen = LOG_SEEN - math.log1p(self.unlocated * P_UNLOCATED_SEEN / STRANGERS_SEEN)
         P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
         by_motion = self.mixture.by_motion(tracks, mates, self._known).tolist()
         for id, p, moved in zip(self._tracks, P, by_motion, strict=True):

@@ -136,8 +136,7 @@ LOG_SEEN = math.log(P_TEAMMATE_SEEN / P_TEAMMATE_MISSED / STRANGERS_SEEN)
 P_UNLOCATED_SEEN = 0.4
 # Of a teammate that may stand anywhere around: that it is in the picture at all is known from the track.
 LOG_ANYWHERE = math.log(4.0 * math.pi)
-# Of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a
-# quarter.
+# Of a track that is not confirmed yet: of strangers there are three times as many such, of teammates a quarter.
 LOG_WEAK = math.log(0.25 / 3.0)
 # A teammate's track is confirmed within so long, or the less likely by that rate [nats] up to that.
 WEAK_FREE_S, WEAK_PER_S, WEAK_MOST = 1.0, 1.0, 4.0

@@ -44,9 +44,9 @@ QUESTION_BACK_OFFS: Final = 6
 QUESTION_REST_S: Final = 9.6
 # Leases without a word, until something is done; and the first period in which it is not done again for that teammate.
 REOPEN_LEASES: Final = 2.0
-# So many times as long where packets wait: words may wait behind them, and new links would add to them.
-QUEUE_PATIENCE: Final = 4.0
 REMEDY_PERIOD_S: Final = 600.0
+# So many times as many leases where packets wait: words may be among them, and new links would add to them.
+QUEUE_PATIENCE: Final = 4.0
 # Between two times that all links are made again, for different teammates; a start with two fifths lost takes ten.
 REOPEN_REST_S: Final = 15.0
 # Between two checks of who says nothing.

@@ -14,16 +14,18 @@ def known():
 
 def test_it_keeps_its_name_though_it_knows_its_place_less_well():
     observer = known()
-    observer.hears(2, LEFT, boot="0000000b", sigma=1.0)
+    observer.hears(2, LEFT, boot="0000000b", sigma=4.0)
     for _ in range(20):
         assert observer.sees(SCAN_S, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
 
 
-def test_a_name_that_goes_on_is_proved_by_motion_only_if_it_was_before():
+def test_a_name_that_goes_on_in_another_frame_is_proved_by_motion_only_if_it_was_before():
+    """Drone 2 hovers all the time, and for two seconds it does not know where it is."""
     observer = known()
-    observer.hears(2, LEFT, boot="0000000b")
-    observer.sees(3.0, a=LEFT, b=RIGHT)
-    assert [entry.proof for entry in observer.identities.label(observer.tracks)] == [None, None]
+    for sigma in (3.0, 4.0, 4.0, 4.0, 4.0, 4.0):
+        observer.is_told(2, LEFT, sigma=sigma)
+        assert observer.sees(0.5, a=LEFT, b=RIGHT) == {"a": 2, "b": 3}
+        assert [entry.proof for entry in observer.identities.label(observer.tracks)] == [None, None]
 
 
 def test_it_loses_its_name_by_a_place_that_is_not_that_of_its_track():

@@ -82,6 +82,19 @@ def test_on_a_full_radio_tracks_give_way_and_it_is_used_and_once_it_is_wide_agai
     assert pacing.bytes_s == math.inf
 
 
+@pytest.mark.parametrize("kbyte_s", [12.0, 20.0])
+def test_a_radio_that_was_found_to_be_full_is_not_filled_again(kbyte_s):
+    pacing, radio, t = Pacing(), Radio(1000.0 * kbyte_s, others=4000.0), 10.0
+    fly(pacing, 0.0, t)
+    while not pacing.is_full:
+        assert t < 20.0
+        fly(pacing, t, 0.2, radio)
+        t += 0.2
+    radio.most = 0.0
+    fly(pacing, t, 20.0, radio)
+    assert radio.most < 0.7  # a third of a lease
+
+
 def spikes(t: float) -> float:
     """Two fifths lost: now and then nothing comes through for a second."""
     return 0.9 if t % 7.0 < 1.0 else 0.0
