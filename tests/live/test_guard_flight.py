@@ -55,7 +55,8 @@ async def test_a_guard_ends_with_its_agent_and_not_with_a_terminal_s_signals():
     async with flying_agent(sky, 1.0) as agent:
         await until(lambda: Path(f"/proc/{agent.pid}/task/{agent.pid}/children").read_text().strip())
         guard = guard_of(agent.pid)
-        assert any(word.endswith("guard.py") for word in _words(guard))
+        # A child that was forked is its parent's twin until it becomes the guard.
+        await until(lambda: any(word.endswith("guard.py") for word in _words(guard)))
         await until(lambda: _ignores(guard, signal.SIGTERM))
         for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
             os.kill(guard, number)
