@@ -237,7 +237,7 @@ async def test_the_autopilot_streams_what_was_asked_on_its_own_clock_and_tells_t
 
     # The mapped clock is off by a millisecond or two; on a machine that is busy with something else by more, and then
     # it says so.
-    most = max(0.003, 2.0 * sigma)
+    most = max(0.005, 4.0 * sigma)
     off = min(np.arange(-most, most, 5e-4), key=lambda late: np.abs(errors(late)).mean())
     error = errors(off)
     assert np.abs(error).max() < 0.05  # its noise
