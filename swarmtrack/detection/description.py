@@ -188,22 +188,29 @@ def _reading(path: str, trial: Trial, classes: int | None, declared: Declared) -
     """The one reading of the outputs that fits. Raises `ModelError` where none does, or more than one."""
     fitting = readings(trial, classes)
     if declared.head is not None:
-        for reading in fitting:
-            if reading.head == declared.head:
-                return reading
-        others = f"; they fit {', '.join(reading.head for reading in fitting)}" if fitting else ""
-        raise _unknown(path, trial, classes, f"; as head {declared.head} they make no sense{others}")
+        asked = [reading for reading in fitting if reading.head == declared.head]
+        if len(asked) == 1:
+            return asked[0]
+        if not asked:
+            others = f"; they fit {', '.join(reading.head for reading in fitting)}" if fitting else ""
+            raise _unknown(path, trial, classes, f"; as head {declared.head} they make no sense{others}")
+        fitting = asked
     against = {reading: contradiction(reading, trial, classes) for reading in fitting}
     good = [reading for reading, reason in against.items() if not reason]
     if len(good) == 1:
         return good[0]
+    if len({reading.head for reading in good}) == 1:
+        raise ModelError(
+            f"{path}: either of its outputs, {_shapes(trial)}, may hold the boxes; name them boxes and scores when you "
+            "export it (output_names of torch.onnx.export)"
+        )
     if good:
         ways = " or ".join(f"{reading.head} ({HEAD_FORMATS[reading.head]})" for reading in good)
         raise ModelError(
             f"{path}: its outputs, {_shapes(trial)}, can be read in more than one way: as {ways}; set {HOW_TO_SAY}"
         )
-    reasons = "".join(f"; it is not {reading.head}: {reason}" for reading, reason in against.items())
-    raise _unknown(path, trial, classes, reasons)
+    reasons = dict.fromkeys(f"; it is not {reading.head}: {reason}" for reading, reason in against.items())
+    raise _unknown(path, trial, classes, "".join(reasons))
 
 
 def _shapes(trial: Trial) -> str:

@@ -8,6 +8,7 @@ scores and shares lie within 0 … 1, corners are in order. What is left undecid
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
 SHARE_SLACK = 0.02  # beyond 0 … 1: rounding of half precision
 WHOLE_NUMBER_SLACK = 1e-3
 SMALLEST_PICTURE_PX = 2.0  # coordinates all within it are shares of an image, not pixels
+SCORE_WORDS = ("score", "logit", "class", "label", "prob", "conf")  # in names of outputs that hold classes
 
 Shape = tuple[int, ...]
 Values = NDArray[Any]
@@ -169,15 +171,34 @@ def _end_to_end(trial: Trial, _: int | None) -> HeadReading | None:
 
 
 def _detr(trial: Trial, classes: int | None) -> HeadReading | None:
-    shapes = trial.shapes
-    count = class_count("detr", shapes)
-    if count is None:
+    """Boxes and classes in one output: any table of five columns and more would fit, so the number of classes tells."""
+    count = class_count("detr", trial.shapes) if len(trial.shapes) == 1 else None
+    fits = count is not None and classes == count and _is_list(trial, trial.shapes[0][1])
+    return HeadReading("detr", (0,), count) if fits else None
+
+
+def _detr_pair(trial: Trial, classes: int | None, boxes: int) -> HeadReading | None:
+    """Boxes in one of two outputs, classes in the other; of four columns each, only their names may show which is
+    which. boxes: index of that with the boxes, 0 or 1.
+    """
+    order = (boxes, 1 - boxes)
+    if len(trial.shapes) != 2 or trial.shapes[boxes][2:] != (4,):
         return None
-    if len(shapes) == 1:
-        # Any table of five columns and more would fit.
-        fits = classes == count and _is_list(trial, shapes[0][1])
-        return HeadReading("detr", (0,), count) if fits else None
-    return HeadReading("detr", (0, 1), count) if classes is None or classes <= count else None
+    count = class_count("detr", [trial.shapes[i] for i in order])
+    if count is None or (classes is not None and classes > count):
+        return None
+    swapped = trial.shapes[0] == trial.shapes[1] and (
+        _is_named_score(trial, boxes) or _is_named_box(trial, 1 - boxes)
+    )
+    return None if swapped else HeadReading("detr", order, count)
+
+
+def _is_named_box(trial: Trial, i: int) -> bool:
+    return bool(trial.names) and "box" in trial.names[i].lower() and not _is_named_score(trial, i)
+
+
+def _is_named_score(trial: Trial, i: int) -> bool:
+    return bool(trial.names) and any(word in trial.names[i].lower() for word in SCORE_WORDS)
 
 
 def _labelled_boxes(trial: Trial, _: int | None) -> HeadReading | None:
@@ -204,7 +225,8 @@ def _is_label(trial: Trial, i: int) -> bool:
 
 
 _LOOKS: tuple[Callable[[Trial, int | None], HeadReading | None], ...] = (
-    _centernet, _yolo_v5, _yolo_v8, _end_to_end, _detr, _labelled_boxes
+    _centernet, _yolo_v5, _yolo_v8, _end_to_end, _detr, partial(_detr_pair, boxes=0), partial(_detr_pair, boxes=1),
+    _labelled_boxes,
 )  # fmt: skip
 
 # --- by values --------------------------------------------------------------------------------------------------------
@@ -261,8 +283,7 @@ def _check_labelled_boxes(outputs: Sequence[Values], names: int | None) -> str:
 
 
 def _check_detr(outputs: Sequence[Values], _: int | None) -> str:
-    boxes = outputs[0][0] if len(outputs) == 1 or outputs[0].shape[2] == 4 else outputs[1][0]
-    return "" if _within_one(boxes[:, :4]) else "its boxes are no shares of the image"
+    return "" if _within_one(outputs[0][0, :, :4]) else "its boxes are no shares of the image"
 
 
 _CHECKS: dict[str, Callable[[Sequence[Values], int | None], str]] = {

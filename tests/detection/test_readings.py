@@ -111,6 +111,39 @@ def test_outputs_that_two_heads_could_have_made_are_asked_about(tmp_path):
         assert found(path, Declared(head=head))[0] == head
 
 
+FOUR = Declared(names=("a", "b", "c", "drone"))
+BOXES, LOGITS = rows(300, 4, SHARES), rows(300, 4, [-5.0, -5.0, -5.0, 2.6])
+SCORES = rows(300, 4, [0.01, 0.01, 0.01, 0.93])
+
+
+@pytest.mark.parametrize(
+    "outputs",
+    [
+        {"scores": SCORES, "pred_boxes": BOXES},
+        {"pred_boxes": BOXES, "box_scores": SCORES},
+        {"output0": SCORES, "boxes": BOXES},
+        {"logits": LOGITS, "output1": BOXES},
+        {"output0": LOGITS, "output1": BOXES},
+        {"output0": BOXES, "output1": LOGITS},
+    ],
+)
+@pytest.mark.parametrize("head", [None, "detr"])
+def test_boxes_and_four_classes_are_told_apart_by_name_or_value(tmp_path, outputs, head):
+    head, result = found(answering(tmp_path / "net.onnx", outputs), Declared(names=FOUR.names, head=head))
+    assert head == "detr"
+    assert result.centre[0] == pytest.approx(np.array(CENTRE) - 0.5, abs=1e-3)
+    assert len(result.centre) == 1
+
+
+@pytest.mark.parametrize("head", [None, "detr"])
+def test_boxes_and_four_classes_that_nothing_tells_apart_are_refused(tmp_path, head):
+    path = answering(tmp_path / "net.onnx", {"output0": SCORES, "output1": BOXES})
+    with pytest.raises(
+        ModelError, match=r"either of its outputs, .*may hold the boxes; name them boxes and scores"
+    ):
+        Detector(path, declared=Declared(names=FOUR.names, head=head))
+
+
 @pytest.mark.parametrize(
     ("outputs", "written", "words"),
     [
