@@ -15,8 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr", "labelled_boxes")
-# px per cell of a YOLO's maps: the usual three, with a finer one (P2), with a coarser one (P6).
-STRIDES = ((8, 16, 32), (4, 8, 16, 32), (8, 16, 32, 64))
+# px per cell of a YOLO's maps P2 … P7. A net has two of them or more, adjacent, the finest P4 at the coarsest.
+ALL_STRIDES = (4, 8, 16, 32, 64, 128)
+STRIDES = tuple(ALL_STRIDES[i:j] for i in range(3) for j in range(i + 2, len(ALL_STRIDES) + 1))
+LIST_ROWS = (
+    100,
+    300,
+    500,
+    1000,
+)  # usual lengths of a list of candidates: no map, though some input has as many cells
 ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
 SHARE_SLACK = 0.02  # beyond 0 … 1: rounding of half precision
 WHOLE_NUMBER_SLACK = 1e-3
@@ -152,14 +159,15 @@ def _yolo_v5(trial: Trial, classes: int | None) -> HeadReading | None:
     if found is None:
         return None
     at, (_, rows, columns) = found
-    fits = rows in {ANCHORS_V5 * count for count in _cell_counts(trial)} and columns > 5
-    return HeadReading("yolo_v5", (at,), columns - 5) if fits and classes in (None, columns - 5) else None
+    maps = {ANCHORS_V5 * count for count in _cell_counts(trial)}.difference(LIST_ROWS)
+    fits = rows in maps and columns > 5 and classes in (None, columns - 5)
+    return HeadReading("yolo_v5", (at,), columns - 5) if fits else None
 
 
 def _is_list(trial: Trial, rows: int) -> bool:
     """Whether so many rows are a list of candidates: those of a map are as many as its cells."""
     counts = _cell_counts(trial)
-    return rows not in counts | {ANCHORS_V5 * count for count in counts}
+    return rows in LIST_ROWS or rows not in counts | {ANCHORS_V5 * count for count in counts}
 
 
 def _end_to_end(trial: Trial, _: int | None) -> HeadReading | None:

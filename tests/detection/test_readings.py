@@ -70,6 +70,12 @@ READ = {
     "end to end, the second class": ("end_to_end", {"output0": rows(300, 6, [*CORNERS, 0.93, 1.0])},
                                      ultralytics("bird", "drone")),
     "P2": ("yolo_v8", {"output0": v8(cells(4, 8, 16, 32), 0.93)}, ultralytics("drone")),
+    "P2 without P5": ("yolo_v8", {"output0": v8(cells(4, 8, 16), 0.93)}, ultralytics("drone", stride="16")),
+    "YOLOv3-tiny": ("yolo_v8", {"output0": v8(cells(16, 32), 0.93)}, ultralytics("drone")),
+    "YOLOv5 of P3 and P4": ("yolo_v5", {"output0": v5(3 * cells(8, 16), 0.98, 0.01)}, TWO),
+    "end to end, as many rows as a tiny YOLO's cells": (
+        "end_to_end", {"output0": rows(cells(16, 32), 6, [*CORNERS, 0.93, 0.0])}, TWO
+    ),
     "P6": ("yolo_v8", {"output0": v8(cells(8, 16, 32, 64), 0.93)}, ultralytics("drone")),
     "YOLOv8 with its maps": ("yolo_v8", {"output0": v8(cells(8, 16, 32), 0.93), **FEATURES}, ultralytics("drone")),
     "YOLOv5 of 2021, four outputs": ("yolo_v5", {"output": v5(3 * cells(8, 16, 32), 0.98, 0.01), **MAPS}, {}),
