@@ -164,24 +164,24 @@ def _yolo_v5(trial: Trial, classes: int | None) -> HeadReading | None:
     return HeadReading("yolo_v5", (at,), columns - 5) if fits else None
 
 
-def _is_list(trial: Trial, rows: int) -> bool:
-    """Whether so many rows are a list of candidates: those of a map are as many as its cells."""
+def is_map(trial: Trial, rows: int) -> bool:
+    """Whether so many rows are the cells of a YOLO's maps rather than a list of candidates."""
     counts = _cell_counts(trial)
-    return rows in LIST_ROWS or rows not in counts | {ANCHORS_V5 * count for count in counts}
+    return rows not in LIST_ROWS and rows in counts | {ANCHORS_V5 * count for count in counts}
 
 
 def _end_to_end(trial: Trial, _: int | None) -> HeadReading | None:
     if len(trial.shapes) != 1 or len(trial.shapes[0]) != 3:
         return None
     batch, rows, columns = trial.shapes[0]
-    fits = batch == 1 and columns == 6 and _is_list(trial, rows)
+    fits = batch == 1 and columns == 6 and not is_map(trial, rows)
     return HeadReading("end_to_end", (0,), None) if fits else None
 
 
 def _detr(trial: Trial, classes: int | None) -> HeadReading | None:
     """Boxes and classes in one output: any table of five columns and more would fit, so the number of classes tells."""
     count = class_count("detr", trial.shapes) if len(trial.shapes) == 1 else None
-    fits = count is not None and classes == count and _is_list(trial, trial.shapes[0][1])
+    fits = count is not None and classes == count and not is_map(trial, trial.shapes[0][1])
     return HeadReading("detr", (0,), count) if fits else None
 
 

@@ -197,24 +197,60 @@ def test_boxes_and_four_classes_that_nothing_tells_apart_are_refused(tmp_path, h
     ],
 )  # fmt: skip
 def test_what_no_head_made_is_refused_with_the_reason(tmp_path, outputs, written, words):
-    with pytest.raises(ModelError, match=words) as refused:
+    with pytest.raises(ModelError, match=words):
         Detector(answering(tmp_path / "net.onnx", outputs, written=written))
-    assert "--head" in str(refused.value) or "--names" in str(refused.value)
 
 
-def test_one_channel_is_fed_with_luma(tmp_path):
-    path = answering(
-        tmp_path / "net.onnx",
-        {"output0": v8(cells(8, 16, 32), 0.93)},
-        channels=1,
-        written=ultralytics("drone"),
-    )
-    assert found(path)[1].centre[0] == pytest.approx(np.array(CENTRE) - 0.5)
-    net = Detector(path)._net
-    blue = np.zeros((H, W, 3), np.uint8)
-    blue[..., 0] = 255
-    assert net.input_of(blue).shape == (1, 1, H, W)
-    assert net.input_of(blue).max() == pytest.approx(29 / 255)
+CANDIDATES = np.zeros((1, 100), np.float32)
+NEXT_STEPS = {
+    "YOLOv8, transposed": ({"o": rows(cells(8, 16, 32), 5, [*CENTRE, *SIZE, 0.9])}, "its rows are cells: .*transposed"),
+    "mmdet": ({"dets": rows(100, 5, [*CORNERS, 0.9]), "labels": CANDIDATES}, r"as two outputs, \(1, n, 4\) and"),
+    "torchvision": (
+        {"boxes": LABELS["boxes"][0], "labels": LABELS["labels"][0], "scores": LABELS["scores"][0]}, "no batch axis"
+    ),
+    "YOLOv7, suppressed": ({"o": np.zeros((3, 7), np.float32)}, "no batch axis"),
+    "a column of scores": (
+        {"labels": LABELS["labels"][..., None], "boxes": LABELS["boxes"], "scores": LABELS["scores"][..., None]},
+        "without the last axis",
+    ),
+    "classes without a name": (
+        {"boxes": rows(100, 4, CORNERS), "a": CANDIDATES, "b": CANDIDATES}, "as integers, or with the name labels"
+    ),
+    "a number of detections": (
+        {"n": np.ones((1, 1), np.int32), "o": rows(100, 6, [*CORNERS, 0.9, 0.0])}, "without the number of detections"
+    ),
+    "maps": ({f"p{s}": np.zeros((1, 18, H // s, W // s), np.float32) for s in (8, 16, 32)}, "with the decoding"),
+    "classes of another number": (
+        {"o": v8(cells(8, 16, 32), 0.9, 0.1)}, "2 as yolo_v8; list them in detector.names, or --names"
+    ),
+    "two nets in one": (
+        {"o": v8(cells(8, 16, 32), 0.9), "p": rows(300, 6, [*CORNERS, 0.9, 0.0])}, "without further outputs"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NEXT_STEPS)
+def test_a_refusal_says_how_to_export_and_no_head_that_would_be_refused(tmp_path, name):
+    outputs, words = NEXT_STEPS[name]
+    path = answering(tmp_path / "net.onnx", outputs, written=ultralytics("drone"))
+    with pytest.raises(ModelError, match=rf"known are .*; .*{words}") as refused:
+        Detector(path)
+    assert "--head" not in str(refused.value)
+
+
+def test_a_refusal_names_a_head_that_then_is_taken(tmp_path):
+    wrong = rows(300, 6, [*CORNERS[::-1], 0.9, 0.0])
+    path = answering(tmp_path / "net.onnx", {"output0": wrong}, written=ultralytics("drone"))
+    with pytest.raises(ModelError, match=r"if it is end_to_end all the same, set detector\.head, or --head"):
+        Detector(path)
+    assert Detector(path, declared=Declared(head="end_to_end")).description.head == "end_to_end"
+
+
+def test_a_list_that_may_be_a_detr_is_asked_for_its_classes(tmp_path):
+    path = answering(tmp_path / "net.onnx", {"output0": rows(300, 6, [*SHARES, 0.93, 0.02])})
+    with pytest.raises(ModelError, match=r"if it is a DETR, list its classes in detector\.names"):
+        Detector(path)
+    assert found(path, Declared(names=("drone", "bird")))[0] == "detr"
 
 
 @pytest.mark.parametrize(
