@@ -253,6 +253,27 @@ def test_a_list_that_may_be_a_detr_is_asked_for_its_classes(tmp_path):
     assert found(path, Declared(names=("drone", "bird")))[0] == "detr"
 
 
+def test_one_faint_box_that_is_inside_out_refuses_no_net(tmp_path):
+    outputs = rows(300, 6, [*CORNERS, 0.93, 0.0])
+    outputs[0, 200] = [90.0, 70.0, 80.0, 60.0, 0.001, 0.0]
+    assert found(answering(tmp_path / "net.onnx", {"output0": outputs}, written=TWO))[0] == "end_to_end"
+
+
+def test_one_channel_is_fed_with_luma(tmp_path):
+    path = answering(
+        tmp_path / "net.onnx",
+        {"output0": v8(cells(8, 16, 32), 0.93)},
+        channels=1,
+        written=ultralytics("drone"),
+    )
+    assert found(path)[1].centre[0] == pytest.approx(np.array(CENTRE) - 0.5)
+    net = Detector(path)._net
+    blue = np.zeros((H, W, 3), np.uint8)
+    blue[..., 0] = 255
+    assert net.input_of(blue).shape == (1, 1, H, W)
+    assert net.input_of(blue).max() == pytest.approx(29 / 255)
+
+
 @pytest.mark.parametrize(
     ("shape", "words"),
     [
