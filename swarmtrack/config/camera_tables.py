@@ -30,6 +30,14 @@ OTHER_SIZE = (
     0.8  # times the image's middle, in both axes alike: a principal point there is another image's middle
 )
 ALIKE = 0.15  # share by which the two axes may differ then
+# Sizes (width, height) px in which cameras deliver images: of one sensor, many are a part of it, or another's scaled.
+COMMON_SIZES_PX = (
+    (320, 240), (424, 240), (640, 360), (640, 400), (640, 480), (752, 480), (800, 600), (848, 480), (960, 540),
+    (960, 720), (1024, 768), (1280, 720), (1280, 800), (1280, 960), (1280, 1024), (1456, 1088), (1600, 1200),
+    (1640, 1232), (1920, 1080), (1920, 1200), (2028, 1520), (2048, 1536), (2560, 1440), (2592, 1944), (3840, 2160),
+)  # fmt: skip
+OFF_MIDDLE = 0.1  # logarithm of a ratio of sides: real principal points are rarely further off
+FAR_NEARER = 0.25  # times the distance to the own size: so near, another size is meant
 AGAIN = (
     "calibrate again with swarmtrack calibrate intrinsics, or with Kalibr's pinhole-radtan or pinhole-equi"
 )
@@ -187,11 +195,17 @@ class CameraTable:
             self.refuse(intrinsics, f"make no camera ({error}), expected those of a real one: {AGAIN}")
 
     def _check_middle(self, said: LensNumbers) -> None:
-        """Whether the principal point is the middle of an image of another size."""
+        """Whether the principal point is the middle of an image of another size: one scaled, cut at two sides, or with
+        width and height exchanged.
+        """
         cx, cy = said.centre
         width, height = said.size
-        x, y = 2.0 * (cx + 0.5) / width, 2.0 * (cy + 0.5) / height
-        if abs(x / y - 1.0) < ALIKE and (max(x, y) < OTHER_SIZE or min(x, y) > 1.0 / OTHER_SIZE):
+        meant = 2.0 * (cx + 0.5), 2.0 * (cy + 0.5)
+        x, y = meant[0] / width, meant[1] / height
+        is_scaled = abs(x / y - 1.0) < ALIKE and (max(x, y) < OTHER_SIZE or min(x, y) > 1.0 / OTHER_SIZE)
+        off = _size_distance(meant, said.size)
+        other = min(_size_distance(meant, size) for size in ((height, width), *COMMON_SIZES_PX))
+        if is_scaled or (off > OFF_MIDDLE and other < FAR_NEARER * off):
             self.refuse(
                 said.keys[0],
                 f"principal point ({cx:g}, {cy:g}) in an image of {width} x {height}, the middle of one of "
@@ -316,3 +330,8 @@ class CameraTable:
                 return foreign_lenses.double_sphere(xi, alpha)
             case _:
                 return foreign_lenses.pinhole
+
+
+def _size_distance(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """How far the sides of two images are apart, by the logarithms of their ratios."""
+    return math.hypot(math.log(a[0] / b[0]), math.log(a[1] / b[1]))

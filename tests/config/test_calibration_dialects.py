@@ -215,6 +215,35 @@ def test_what_no_dialect_means_is_refused_with_a_sentence(write, text, old, new,
     assert "expected" in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("made_for", "size"),
+    [
+        ((640, 480), (640, 360)),
+        ((1280, 960), (1280, 720)),
+        ((1280, 800), (1280, 720)),
+        ((1280, 720), (1280, 960)),
+        ((800, 600), (960, 720)),
+        ((1280, 720), (640, 480)),
+        ((640, 480), (480, 640)),
+    ],
+)
+def test_numbers_of_another_size_are_refused_whichever_side_was_cut(write, made_for, size):
+    """The principal point is some per cent off its image's middle, as those of real cameras."""
+    cx, cy = 0.505 * made_for[0], 0.497 * made_for[1]
+    text = f"fx: 700\nfy: 700\ncx: {cx}\ncy: {cy}\nwidth: {{}}\nheight: {{}}\n"
+    assert load_calibration(write(text.format(*made_for))).camera.cx == cx
+    with pytest.raises(CalibrationError, match=r"the middle of one of|outside of the image"):
+        load_calibration(write(text.format(*size)))
+
+
+@pytest.mark.parametrize("off", [(0.04, -0.03), (-0.04, 0.0), (0.0, 0.045), (0.1, 0.03)])
+@pytest.mark.parametrize("size", [(640, 480), (752, 480), (1280, 720), (1280, 800), (1920, 1080)])
+def test_a_principal_point_somewhat_off_the_middle_is_taken(write, size, off):
+    cx, cy = ((0.5 + off[i]) * size[i] for i in range(2))
+    text = f"fx: 700\nfy: 700\ncx: {cx}\ncy: {cy}\nwidth: {size[0]}\nheight: {size[1]}\n"
+    assert load_calibration(write(text)).camera.cx == cx
+
+
 def test_vins_says_where_the_camera_is_on_the_imu(write):
     turned = "0, 0, 1, 1, 0, 0, 0, 1, 0"
     text = (
