@@ -524,7 +524,8 @@ def _flat(file: CameraTable, name: str) -> Calibration:
             keys=("fx", "camera_model", model_key, key),
         )
     )
-    return Calibration(lens, name=name, source_format="realsense", notes=notes)
+    lens, applied = _delivered(file, lens)
+    return Calibration(lens, name=name, source_format="realsense", notes=(*notes, *applied))
 
 
 CALIBRATION_DIALECTS = (

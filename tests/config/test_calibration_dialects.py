@@ -165,6 +165,12 @@ def test_binning_is_applied(write):
     assert found.notes == ("binning 2 x 2 is applied: images are 320 x 240",)
 
 
+def test_binning_is_applied_in_a_flat_file_too(write):
+    found = load_calibration(write(FLAT + "binning_x: 2\nbinning_y: 2\n"))
+    assert (found.camera.width, found.camera.height, found.camera.fx) == (320, 240, 230.25)
+    assert found.notes == ("binning 2 x 2 is applied: images are 320 x 240",)
+
+
 def test_a_region_of_interest_is_applied_before_binning(write):
     text = INFO + "binning_x: 2\nbinning_y: 2\nroi: {x_offset: 100, y_offset: 60, width: 400, height: 300}\n"
     found = load_calibration(write(text))
