@@ -41,6 +41,7 @@ FAR_NEARER = 0.25  # times the distance to the own size: so near, another size i
 AGAIN = (
     "calibrate again with swarmtrack calibrate intrinsics, or with Kalibr's pinhole-radtan or pinhole-equi"
 )
+MOUNTING = "correct it, or remove it and write the mounting as camera.body_from_camera"
 
 RADTAN = (
     "radtan",
@@ -100,9 +101,11 @@ class CameraTable:
     table: dict[str, Any]
     prefix: str = ""
 
-    def refuse(self, key: str, text: str) -> NoReturn:
+    def refuse(self, key: str, text: str, step: str = AGAIN) -> NoReturn:
+        """Raise CalibrationError. text: what was found and expected; step: what to do next, or empty."""
         place = f"{self.prefix}{key}" if key else self.prefix.removesuffix(".")
-        raise CalibrationError(f"{self.path}: {place}: {text}" if place else f"{self.path}: {text}")
+        where = f"{self.path}: {place}" if place else str(self.path)
+        raise CalibrationError(f"{where}: {text}: {step}" if step else f"{where}: {text}")
 
     def has(self, key: str) -> bool:
         return self.table.get(key) is not None
@@ -131,7 +134,7 @@ class CameraTable:
         value = self.table.get(key)
         if value is None:
             self.refuse(key, "missing, expected numbers")
-        entries = value.get("data") if isinstance(value, dict) else value
+        entries = value.get("data", value) if isinstance(value, dict) else value
         try:
             # PyYAML reads 1e-05 (no dot) as a string: float() takes it all the same.
             rows: list[Any] = entries if isinstance(entries, list) else [entries]
@@ -162,16 +165,17 @@ class CameraTable:
         T = self.numbers(key, (4, 4), (3, 4))
         R, position = T[:3, :3], T[:3, 3]
         if len(T) == 4 and not np.allclose(T[3], [0, 0, 0, 1], atol=1e-9):
-            self.refuse(key, f"last row {T[3].tolist()}, expected [0, 0, 0, 1]")
+            self.refuse(key, f"last row {T[3].tolist()}, expected [0, 0, 0, 1]", MOUNTING)
         with np.errstate(all="ignore"):
             if not is_rotation(R, ROTATION_TOLERANCE):
                 if np.linalg.det(R) < 0.0:
                     text = f"det R = {np.linalg.det(R):.3f}, a reflection, expected a rotation (+1): an axis is flipped"
-                    self.refuse(key, text)
+                    self.refuse(key, text, MOUNTING)
                 error = np.abs(R @ R.T - np.eye(3)).max()
                 self.refuse(
                     key,
                     f"rows of R are off orthonormal by {error:.2g}, expected at most {ROTATION_TOLERANCE}",
+                    MOUNTING,
                 )
         u, _, vt = np.linalg.svd(R)
         return Pose(u @ vt, position)
@@ -192,7 +196,7 @@ class CameraTable:
         try:
             return self._lens(said, lens)
         except ValueError as error:
-            self.refuse(intrinsics, f"make no camera ({error}), expected those of a real one: {AGAIN}")
+            self.refuse(intrinsics, f"make no camera ({error}), expected those of a real one")
 
     def _check_middle(self, said: LensNumbers) -> None:
         """Whether the principal point is the middle of an image of another size: one scaled, cut at two sides, or with
@@ -209,9 +213,9 @@ class CameraTable:
             self.refuse(
                 said.keys[0],
                 f"principal point ({cx:g}, {cy:g}) in an image of {width} x {height}, the middle of one of "
-                f"{2 * cx:.0f} x {2 * cy:.0f}; expected numbers and size of the same image: correct the size, or "
-                "calibrate again with the images that the drone will use (a lens that is really so far off its "
-                "image's middle can be written inline, as camera.intrinsics)",
+                f"{2 * cx:.0f} x {2 * cy:.0f}; expected numbers and size of the same image",
+                "correct the size, or calibrate again with the images that the drone will use (a lens that is really "
+                "so far off its image's middle can be written inline, as camera.intrinsics)",
             )
 
     def _lens(self, said: LensNumbers, lens: ImagePlane) -> tuple[PinholeCamera, tuple[str, ...]]:
@@ -221,12 +225,12 @@ class CameraTable:
         if said.projection not in PROJECTIONS:
             self.refuse(
                 projection,
-                f"{said.projection!r} is not supported, expected {', '.join(PROJECTIONS)}: {AGAIN}",
+                f"{said.projection!r} is not supported, expected {', '.join(PROJECTIONS)}",
             )
         if model not in KNOWN_DISTORTIONS:
             self.refuse(
                 model_key,
-                f"{model!r} is not supported, expected radtan (plumb_bob), equidistant or fov: {AGAIN}",
+                f"{model!r} is not supported, expected radtan (plumb_bob), equidistant or fov",
             )
         for number, (name, least, most) in zip(
             said.shape, PROJECTION_NUMBERS.get(said.projection, ()), strict=True
@@ -252,7 +256,7 @@ class CameraTable:
             self.refuse(
                 projection if not direct else model_key,
                 f"{words} is {fitted.worst_px:.2g} px off the nearest {ours} one, expected at most "
-                f"{MOST_FIT_ERROR_PX:g} px: {AGAIN}",
+                f"{MOST_FIT_ERROR_PX:g} px",
             )
         return fitted.camera, (f"{words} is read as {ours}, within {fitted.worst_px:.2g} px",)
 

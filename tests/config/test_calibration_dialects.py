@@ -206,9 +206,18 @@ REFUSED = [
     (INFO, "k: [", "cam0_calib: a.yaml\nother: [", "", "", r"cam0_calib: names another file"),
     (kalibr("ds", f"-0.17, 7.0, 158.3, 158.4, {CX}, {CY}"), "", "", "", "", r"cam0\.intrinsics: alpha = 7, exp"),
     (REALSENSE, "", "", "", "", r"2 cameras \(Color 1280x720, Color 640x480\), expected calibration_camera"),
+    (INFO, INFO, "intrinsics: {a: 1}", "", "", r"intrinsics: .*a.*: 1.*, expected numbers"),
+    (kalibr("omni", f"1.2, 460.5, 459.1, {CX}, {CY}"), "none", "equi", "[]", "[0.1, 0, 0, 0]", r"on top of 'omni'"),
+    (INFO, INFO, "# Camera list\n1 OPENCV 640 480 460 460 320 240\n", "", "", "no keys in it"),
+    (INFO, INFO, "cam0 (/a):\n    type: <class 'a'>\n    b: [1 2] +- [0 0]\n", "", "", "expected valid YAML"),
     (json.dumps({"cameraData": []}), "", "", "", "", r"holds no camera"),
     (json.dumps({"value0": {"intrinsics": 3}}), "", "", "", "", r"value0\.intrinsics, resolution: expected a list"),
 ]  # fmt: skip
+
+
+NEXT_STEP = re.compile(
+    r": (calibrate again with|correct |add a line|give that file)|expected calibration_camera"
+)
 
 
 @pytest.mark.parametrize(("text", "old", "new", "older", "newer", "words"), REFUSED)
@@ -219,6 +228,7 @@ def test_what_no_dialect_means_is_refused_with_a_sentence(write, text, old, new,
         load_calibration(path)
     assert str(caught.value).startswith(str(path))
     assert "expected" in str(caught.value)
+    assert NEXT_STEP.search(str(caught.value))
 
 
 @pytest.mark.parametrize(
@@ -285,6 +295,11 @@ FLAT = "fx: 460.5\nfy: 459.1\ncx: 322.2\ncy: 241.7\nwidth: 640\nheight: 480\n"
 )
 def test_a_file_by_hand_is_read(write, more, lens):
     assert load_calibration(write(FLAT + more)).camera.distortion == lens
+
+
+def test_a_file_by_hand_may_hold_its_intrinsics_in_one_mapping(write):
+    text = f"intrinsics: {{fx: 460.5, fy: 459.1, cx: {CX}, cy: {CY}}}\nwidth: 640\nheight: 480\n"
+    assert load_calibration(write(text)).camera == load_calibration(write(FLAT)).camera
 
 
 def test_a_projection_that_is_named_is_not_passed_over(write):
