@@ -11,7 +11,7 @@ HOW_TO_SET_NAMES = "detector.names, or --names of swarmtrack video"
 
 
 def next_step(trial: Trial, classes: int | None, fitting: Sequence[HeadReading]) -> str:
-    """What to do about a refused net. classes: how many it is said to distinguish; fitting: readings of its outputs by
+    """Next step for a refused net. classes: how many it is said to distinguish; fitting: readings of its outputs by
     their shapes. A head is advised only where it would be accepted.
     """
     steps = [step for look, step in _STEPS if look(trial)][:1] if not fitting else []
@@ -25,7 +25,9 @@ def next_step(trial: Trial, classes: int | None, fitting: Sequence[HeadReading])
         )
     if fitting:
         heads = " or ".join(dict.fromkeys(reading.head for reading in fitting))
-        steps.append(f"if it is {heads} all the same, set {HOW_TO_SET_HEAD}")
+        steps.append(
+            f"export it in one of these formats or, if it is {heads} all the same, set {HOW_TO_SET_HEAD}"
+        )
     return "; ".join(steps) or "export it in one of these formats, without further outputs"
 
 
@@ -63,10 +65,8 @@ def _has_unnamed_classes(trial: Trial) -> bool:
 
 
 def _has_a_count(trial: Trial) -> bool:
-    return len(trial.shapes) == 2 and sorted(max(shape, default=1) == 1 for shape in trial.shapes) == [
-        False,
-        True,
-    ]
+    counts = [shape for shape in trial.shapes if max(shape, default=1) == 1]
+    return (len(trial.shapes), len(counts)) == (2, 1)
 
 
 _STEPS: tuple[tuple[Callable[[Trial], bool], str], ...] = (

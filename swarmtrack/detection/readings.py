@@ -297,7 +297,7 @@ def _check_detr(outputs: Sequence[Values], _: int | None) -> str:
 
 
 _CHECKS: dict[str, Callable[[Sequence[Values], int | None], str]] = {
-    "centernet": lambda outputs, _: "",
+    "centernet": lambda outputs, _: _about_scores(outputs[0]),
     "yolo_v5": lambda outputs, _: _about_scores(outputs[0][0, :, 4:]) or _about_boxes(outputs[0][0, :, :4]),
     "yolo_v8": lambda outputs, _: _about_scores(outputs[0][0, 4:]) or _about_boxes(outputs[0][0, :4]),
     "end_to_end": _check_end_to_end,

@@ -178,6 +178,11 @@ def test_boxes_and_four_classes_that_nothing_tells_apart_are_refused(tmp_path, h
             ultralytics("drone"),
             "it is not yolo_v8: its scores are not within",
         ),
+        (
+            {name: np.full((1, n, 32, 40), -2.0, np.float32) for name, n in (("hm", 1), ("wh", 2), ("reg", 2))},
+            {},
+            "it is not centernet: its scores are not within",
+        ),
         ({"output0": v8(cells(8, 16, 32), 0.9)}, TWO, r"for an input of 160x128 and 2 classes; known are"),
         (
             {"output0": rows(300, 6, [*CORNERS, 0.9, 7.0])},
