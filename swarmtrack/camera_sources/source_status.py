@@ -11,7 +11,7 @@ import numpy as np
 from swarmtrack.camera_sources.limits import CAMERA_RATE_WINDOW_S
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
-from swarmtrack.plain_text import plain
+from swarmtrack.plain_text import hide_logins, plain
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ class SourceStatus:
 
     def report(self, ok: bool, text: str) -> None:
         """Set the one line about this source; logged when it changes, not when it is repeated."""
-        text = plain(text)
+        text = plain(hide_logins(text))
         if (ok, text) != (self._ok, self._text):
             log.log(logging.INFO if ok else logging.WARNING, "camera %s: %s", self.name, text)
         self._ok, self._text = ok, text
@@ -66,7 +66,7 @@ class SourceStatus:
 
     def refuse(self, text: str) -> None:
         """Report the reason of a rejected frame until one is accepted."""
-        text = plain(text)
+        text = plain(hide_logins(text))
         if text != self._trouble:
             log.warning("camera %s: %s", self.name, text)
         self._trouble = text
@@ -76,7 +76,7 @@ class SourceStatus:
         self.counts.corrupt += 1
         now = self._clock.now()
         if self._last_given is None or now - self._last_given > CAMERA_RATE_WINDOW_S:
-            text = plain(f"{what}; the last: {reason}")
+            text = plain(hide_logins(f"{what}; the last: {reason}"))
             if not self._trouble:
                 log.warning("camera %s: %s", self.name, text)
             self._trouble = text
