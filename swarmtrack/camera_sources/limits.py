@@ -35,8 +35,11 @@ MAX_STREAMED_DETECTIONS = 64
 
 # V4L2 (`v4l2`): the kernel stamps when it handles the first packet or interrupt of a frame.
 KERNEL_STAMP_SIGMA_S = 1e-3
-# A stamp outside is of another clock, whatever its flags say.
-PLAUSIBLE_STAMP_AGE_S = (-0.1, 60.0)
+# Least age of a frame when the kernel gives it, as of HTTP: with another, the stamps are of another clock, whatever
+# their flags say. Where the exposure's start is stamped, a period at most is to be added.
+V4L2_LEAST_AGE_S = (-0.005, 0.5)
+# Frames that waited while the event loop stood still are that old at most.
+V4L2_STAMP_WINDOW_S = 60.0
 # Without a frame until it is reported: periods, and at least so long.
 CAMERA_SILENT_PERIODS, CAMERA_SILENT_AT_LEAST_S = 10, 0.5
 # Of silence: many USB cameras recover only so; the first frame may take them two.

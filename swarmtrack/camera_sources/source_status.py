@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmtrack.camera_sources.limits import CAMERA_RATE_WINDOW_S
+from swarmtrack.camera_sources.stamp_clock import StampClock
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
 from swarmtrack.plain_text import hide_logins, plain
@@ -30,10 +31,15 @@ class Counts:
 
 
 class SourceStatus:
-    """Status of one source, which reports each frame's outcome; all on the event loop."""
+    """Status of one source, which reports each frame's outcome; all on the event loop.
+
+    stamps: judges those of the present connection, None where a source has none.
+    """
 
     def __init__(self, name: str, clock: Clock) -> None:
         self.counts = Counts()
+        self.stamps: StampClock | None = None
+        self._bad_stamps = 0
         self.name = plain(name)
         self._clock = clock
         self._ok, self._text = False, "not opened yet"
@@ -54,6 +60,17 @@ class SourceStatus:
         if (ok, text) != (self._ok, self._text):
             log.log(logging.INFO if ok else logging.WARNING, "camera %s: %s", self.name, text)
         self._ok, self._text = ok, text
+
+    def exposure(self, stamp: float, arrived: float) -> tuple[float, float] | None:
+        """As of `stamps`, which must be set. Counts the stamps that are not used, and logs the reason of the first."""
+        assert self.stamps is not None
+        known = self.stamps.problem
+        found = self.stamps.exposure(stamp, arrived)
+        if found is None:
+            self._bad_stamps += 1
+            if not known:
+                log.warning("camera %s: stamps are not used: %s", self.name, self.stamps.problem)
+        return found
 
     def given(self, t: float, t_sigma: float) -> None:
         """Count a frame delivered to the consumer. t: its exposure, t_sigma: that time's uncertainty."""
@@ -93,6 +110,10 @@ class SourceStatus:
             ages = (("age_p50_ms", p50), ("age_p95_ms", p95), ("t_sigma_ms", 1e3 * self._t_sigma))
             if self._ok and p50 >= 0.0:  # below: the frames of a recording set the clock, and have no age
                 text += f", age {p50:.0f} ms"
+        stamps: tuple[tuple[str, float], ...] = ()
+        if self.stamps is not None:
+            stamps = (("bad_stamps", self._bad_stamps),)
+            text += f"; stamps are not used: {self.stamps.problem}" if self.stamps.problem else ""
         counts = self.counts
         numbers = (
             ("fps", fps),
@@ -105,6 +126,7 @@ class SourceStatus:
             ("wrong_size", counts.wrong_size),
             ("reconnects", counts.reconnects),
             *ages,
+            *stamps,
         )
         return LinkStatus(name=self.name, ok=self._ok and not self._trouble, text=text, counters=numbers)
 

@@ -43,9 +43,12 @@ from swarmtrack.camera_sources.limits import (
     CAMERA_SILENT_PERIODS,
     DEFAULT_FRAME_PERIOD_S,
     KERNEL_STAMP_SIGMA_S,
-    PLAUSIBLE_STAMP_AGE_S,
+    STAMPS_COMPARED,
+    V4L2_LEAST_AGE_S,
+    V4L2_STAMP_WINDOW_S,
 )
 from swarmtrack.camera_sources.newest_slot import start, stop
+from swarmtrack.camera_sources.stamp_clock import StampBounds, StampClock
 from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
@@ -178,6 +181,10 @@ class CaptureSession:
         self._freshness = Freshness(capture.period, depth=len(capture.maps))
         self._flowing = False
         self._empty = 0
+        low, high = V4L2_LEAST_AGE_S
+        # The first may have waited while the detector was loaded.
+        bounds = StampBounds(low, high + capture.period, V4L2_STAMP_WINDOW_S, credit=STAMPS_COMPARED - 1)
+        slot.source.stamps = StampClock(clock, same_machine=True, utc=False, bounds=bounds)
         self._lost: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> str:
@@ -251,7 +258,7 @@ class CaptureSession:
         if buffer.flags & abi.BUF_FLAG_ERROR or buffer.bytesused == 0:
             self._slot.source.counts.corrupt += 1
             return None
-        stamp, t, t_sigma = exposure_time(buffer, now, self._capture.period, self._options.exposure_us)
+        stamp, t, t_sigma = self._exposure(buffer, now)
         if stamp is not StampKind.ARRIVAL and self._freshness.is_stale(t, self.sequence, now):
             self._slot.source.counts.stale += 1
             return None
@@ -265,6 +272,14 @@ class CaptureSession:
             release=lambda: self._capture.requeue(index),
         )
 
+    def _exposure(self, buffer: abi.Buffer, now: float) -> tuple[StampKind, float, float]:
+        """As `exposure_time`; the time of arrival where the stamp is on another clock."""
+        period = self._capture.period
+        t = kernel_stamp(buffer)
+        if t is None or self._slot.source.exposure(t, now) is None:
+            return StampKind.ARRIVAL, now, period
+        return exposure_time(t, buffer.flags, period, self._options.exposure_us)
+
     def _count(self, camera_sequence: int) -> None:
         step = 1
         if self._camera_sequence is not None:
@@ -277,20 +292,22 @@ class CaptureSession:
         self.received += 1
 
 
-def exposure_time(
-    buffer: abi.Buffer, now: float, period: float, exposure_us: float | None
-) -> tuple[StampKind, float, float]:
-    """(kind of stamp, middle of the exposure [s], its sigma [s]) of a dequeued buffer."""
-    t = buffer.timestamp.tv_sec + 1e-6 * buffer.timestamp.tv_usec
+def kernel_stamp(buffer: abi.Buffer) -> float | None:
+    """Stamp of a dequeued buffer [s], None where it is not on CLOCK_MONOTONIC by the driver's own word."""
     monotonic = buffer.flags & abi.BUF_FLAG_TIMESTAMP_MASK == abi.BUF_FLAG_TIMESTAMP_MONOTONIC
-    if not monotonic or not PLAUSIBLE_STAMP_AGE_S[0] < now - t < PLAUSIBLE_STAMP_AGE_S[1]:
-        return StampKind.ARRIVAL, now, period
+    return buffer.timestamp.tv_sec + 1e-6 * buffer.timestamp.tv_usec if monotonic else None
+
+
+def exposure_time(
+    t: float, flags: int, period: float, exposure_us: float | None
+) -> tuple[StampKind, float, float]:
+    """(kind of stamp, middle of the exposure [s], its sigma [s]) of a buffer with stamp t [s]."""
     half_exposure = 0.5e-6 * exposure_us if exposure_us is not None else 0.0
     sigma = KERNEL_STAMP_SIGMA_S
     if exposure_us is None:
         # It lies anywhere between none and a period, its middle between none and half of one.
         sigma = math.hypot(sigma, period / 2 / 12**0.5)
-    if buffer.flags & abi.BUF_FLAG_TSTAMP_SRC_MASK == abi.BUF_FLAG_TSTAMP_SRC_SOE:
+    if flags & abi.BUF_FLAG_TSTAMP_SRC_MASK == abi.BUF_FLAG_TSTAMP_SRC_SOE:
         return StampKind.EXPOSURE, t + half_exposure, sigma
     # The end of the frame comes after exposure *and* readout, and the readout, up to a period, is nobody's to know.
     # Its mean is a constant: `camera.time_offset_s` of the calibration takes it.

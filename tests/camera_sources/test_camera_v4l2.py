@@ -23,9 +23,10 @@ from support.places import ROOT, V4L2_STAND_IN
 from swarmtrack.camera_sources import v4l2_abi as abi
 from swarmtrack.camera_sources.decode import RawImage, decode_raw
 from swarmtrack.camera_sources.frame_slot import BadImage, Freshness
+from swarmtrack.camera_sources.limits import STAMPS_COMPARED
 from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.camera_sources.stretch import Stretch
-from swarmtrack.camera_sources.v4l2 import exposure_time, holders
+from swarmtrack.camera_sources.v4l2 import exposure_time, holders, kernel_stamp
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import StampKind
@@ -342,15 +343,50 @@ def buffer(t: float, flags: int) -> abi.Buffer:
     return abi.Buffer(flags=flags, timestamp=abi.Timeval(int(t), int(1e6 * (t - int(t)))))
 
 
-def test_a_stamp_of_the_end_of_the_frame_or_of_another_clock_is_known_for_what_it_is() -> None:
-    now = 1000.05
-    end = exposure_time(buffer(1000.0, abi.BUF_FLAG_TIMESTAMP_MONOTONIC), now, PERIOD, 10_000)
-    assert end[0] is StampKind.READOUT
-    assert end[1] == pytest.approx(1000.0 - 0.005)
-    for t, flags in ((1000.0, 0), (1.7e9, abi.BUF_FLAG_TIMESTAMP_MONOTONIC | abi.BUF_FLAG_TSTAMP_SRC_SOE)):
-        stamp, at, sigma = exposure_time(buffer(t, flags), now, PERIOD, None)
-        assert (stamp, at) == (StampKind.ARRIVAL, now)
-        assert sigma > end[2] > 1e-3
+def test_a_stamp_of_the_end_of_the_frame_is_known_for_what_it_is() -> None:
+    stamp, at, sigma = exposure_time(1000.0, abi.BUF_FLAG_TIMESTAMP_MONOTONIC, PERIOD, 10_000)
+    assert stamp is StampKind.READOUT
+    assert at == pytest.approx(1000.0 - 0.005)
+    assert PERIOD > sigma > 1e-3
+    assert kernel_stamp(buffer(1000.0, abi.BUF_FLAG_TIMESTAMP_MONOTONIC)) == pytest.approx(1000.0)
+    assert kernel_stamp(buffer(1000.0, 0)) is None
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("lead_us", "problem"),
+    [
+        (1_200_000, " s behind this machine's monotonic clock by the youngest of 20 frames, or"),
+        (-80_000, " s ahead of this machine's monotonic clock by the youngest of 20 frames, expected -5 to"),
+        (100_000_000, "100 s behind this machine's monotonic clock, expected -5 to +533 ms"),
+    ],
+)
+def test_stamps_of_another_clock_are_not_used_and_the_offset_is_said(
+    watch: Watch, lead_us: int, problem: str
+) -> None:
+    watch.script(formats="GREY", lead_us=lead_us)
+    watch.start()
+    watch.frames(STAMPS_COMPARED)  # from then on their youngest counts
+    for frame in watch.frames(10):
+        assert frame["stamp"] == StampKind.ARRIVAL.value
+        assert 0.0 <= frame["now"] - frame["t"] < 0.2
+    status = watch.status()
+    assert "stamps are not used: their clock is" in status["text"]
+    assert problem in status["text"]
+    assert status["ok"]
+    assert status["bad_stamps"] >= 10
+
+
+@needs_cc
+@pytest.mark.parametrize("before", [1, 5])
+def test_a_frame_that_waited_longer_than_any_latency_keeps_its_stamp(watch: Watch, before: int) -> None:
+    watch.script(formats="GREY")
+    watch.start("buffers=4")
+    last = watch.frames(before)[-1]
+    watch.send("block 1.0")
+    while (frame := watch.frame())["sequence"] < last["sequence"] + 30:
+        assert frame["stamp"] == StampKind.EXPOSURE.value
+    assert watch.status()["bad_stamps"] == 0
 
 
 def test_an_honest_latency_is_not_staleness_and_a_lasting_change_of_it_is_learnt() -> None:

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from swarmtrack.camera_sources.limits import STAMPS_COMPARED
-from swarmtrack.camera_sources.stamp_clock import StampClock
+from swarmtrack.camera_sources.stamp_clock import StampBounds, StampClock
 from swarmtrack.clock import ManualClock
 
 
@@ -60,3 +60,15 @@ def test_a_stamp_of_no_clock_is_said(stamp: float, words: str) -> None:
     stamps, clock = stamp_clock()
     assert stamps.exposure(stamp, clock.now()) is None
     assert re.search(words, stamps.problem)
+
+
+def test_with_credit_old_frames_are_held_against_their_clock_only_after_so_many() -> None:
+    clock = ManualClock()
+    bounds = StampBounds(-0.005, 0.5, 60.0, credit=3)
+    for ages, used in (
+        ((3.0, 2.0, 1.0, 0.9, 0.9), [True, True, True, False, False]),
+        ((3.0, 2.0, 1.0, 0.1, 3.0), [True] * 5),
+        ((-0.1, 61.0, 0.1), [False] * 3),
+    ):
+        stamps = StampClock(clock, same_machine=True, utc=False, bounds=bounds)
+        assert [stamps.exposure(clock.now() - age, clock.now()) is not None for age in ages] == used
