@@ -256,7 +256,9 @@ class CaptureSession:
             self._flowing = True
             self._slot.source.report(True, self._capture.description)
         if buffer.flags & abi.BUF_FLAG_ERROR or buffer.bytesused == 0:
-            self._slot.source.counts.corrupt += 1
+            self._slot.source.damaged(
+                "marked as damaged by the driver" if buffer.bytesused else "an empty buffer"
+            )
             return None
         stamp, t, t_sigma = self._exposure(buffer, now)
         if stamp is not StampKind.ARRIVAL and self._freshness.is_stale(t, self.sequence, now):
