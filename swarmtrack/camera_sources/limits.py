@@ -26,6 +26,8 @@ MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 16 << 20, 16 << 10
 MOST_BOUNDARY_DASHES = 70
 # A shorter boundary occurs in images by chance, and is looked for with its dashes only.
 SHORT_BOUNDARY = 6
+# In front of a JPEG's scan; a camera writes ten.
+MOST_JPEG_SEGMENTS = 200
 RTSP_PORT = 554
 
 # Cameras that detect by themselves (`detection_stream`); of one frame, the best are kept, as many as our own detector
