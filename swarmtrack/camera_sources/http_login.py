@@ -2,11 +2,12 @@
 
 Nothing is sent before the server asks, so a camera that takes digest never sees the password. aiohttp's middleware
 makes the digest. It looks at the first challenge only, and many cameras offer basic first: here the digest's challenge
-is picked from all of them.
+is picked from all of them, in lines of their own or in one.
 """
 
 from __future__ import annotations
 
+import re
 from base64 import b64encode
 from typing import TYPE_CHECKING, Any, cast
 
@@ -34,6 +35,18 @@ class _Challenged:
         return getattr(self.response, name)
 
 
+_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*+"?')
+# A parameter has an equals sign, a scheme has none.
+_SCHEME_START = re.compile(r"(?:^|,)\s*+([^\s,=]++)(?!\s*=)")
+
+
+def _challenges_of(line: str) -> list[str]:
+    """Challenges of one header line, each from its scheme on. RFC 9110, section 11.6.1."""
+    unquoted = _QUOTED.sub(lambda quoted: "-" * len(quoted[0]), line)
+    starts = [found.start(1) for found in _SCHEME_START.finditer(unquoted)]
+    return [line[start:end].rstrip(", ") for start, end in zip(starts, [*starts[1:], len(line)], strict=True)]
+
+
 class LoginMiddleware:
     """Middleware of a client session. schemes: those that the server offered, in lower case; empty before."""
 
@@ -56,8 +69,9 @@ class LoginMiddleware:
             if response.status != 401:
                 return response
             response.release()
-            challenges = response.headers.getall(hdrs.WWW_AUTHENTICATE, [])
-            self.schemes = tuple(each.split(maxsplit=1)[0].lower() for each in challenges if each.strip())
+            lines = response.headers.getall(hdrs.WWW_AUTHENTICATE, [])
+            challenges = [each for line in lines for each in _challenges_of(line)]
+            self.schemes = tuple(each.split(maxsplit=1)[0].lower() for each in challenges)
             digest = next((each for each in challenges if each.lower().startswith("digest")), "none")
             return cast(aiohttp.ClientResponse, _Challenged(response, digest))
 
