@@ -18,6 +18,8 @@ HTTP_STAMP_WINDOW_S = 2.0
 # and with a larger one no frame would be used (camera.max_age_s), whether by latency or by the clocks.
 HTTP_LEAST_AGE_S = (-0.005, 0.5)
 STAMPS_COMPARED = 20
+# A larger least age is that of a slow stream or of a clock that is behind; what is estimated in flight covers so much.
+STAMP_LATE_S = 0.15
 HTTP_MONOTONIC_SIGMA_S = 1e-3
 # Two machines synchronised over a radio link.
 HTTP_UTC_SIGMA_S = 5e-3

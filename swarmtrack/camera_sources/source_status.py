@@ -113,7 +113,8 @@ class SourceStatus:
         stamps: tuple[tuple[str, float], ...] = ()
         if self.stamps is not None:
             stamps = (("bad_stamps", self._bad_stamps),)
-            text += f"; stamps are not used: {self.stamps.problem}" if self.stamps.problem else ""
+            doubt = f"; {self.stamps.doubt}" if self.stamps.doubt else ""
+            text += f"; stamps are not used: {self.stamps.problem}" if self.stamps.problem else doubt
         counts = self.counts
         numbers = (
             ("fps", fps),

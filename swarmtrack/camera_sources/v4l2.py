@@ -43,6 +43,7 @@ from swarmtrack.camera_sources.limits import (
     CAMERA_SILENT_PERIODS,
     DEFAULT_FRAME_PERIOD_S,
     KERNEL_STAMP_SIGMA_S,
+    STAMP_LATE_S,
     STAMPS_COMPARED,
     V4L2_LEAST_AGE_S,
     V4L2_STAMP_WINDOW_S,
@@ -183,7 +184,13 @@ class CaptureSession:
         self._empty = 0
         low, high = V4L2_LEAST_AGE_S
         # The first may have waited while the detector was loaded.
-        bounds = StampBounds(low, high + capture.period, V4L2_STAMP_WINDOW_S, credit=STAMPS_COMPARED - 1)
+        bounds = StampBounds(
+            low,
+            STAMP_LATE_S + capture.period,
+            high + capture.period,
+            V4L2_STAMP_WINDOW_S,
+            credit=STAMPS_COMPARED - 1,
+        )
         slot.source.stamps = StampClock(clock, same_machine=True, utc=False, bounds=bounds)
         self._lost: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 

@@ -133,9 +133,13 @@ FAULTS: dict[str, Fault] = {
     ),
     "camera.late": Fault(
         W,
-        "frames are {age_ms:.0f} ms old when they arrive",
+        "frames are {age_ms:.0f} ms old when they arrive{why}",
         "use fewer buffers, a faster encoder or a USB camera; below 100 ms, identities come sooner",
-        {"v4l2": "set a shorter exposure (exposure_us=) or a smaller size; below 100 ms, identities come sooner"},
+        {
+            "v4l2": "set a shorter exposure (exposure_us=) or a smaller size; below 100 ms, identities come sooner",
+            "http": "set the camera's clock (chrony); use fewer buffers, a faster encoder or a USB camera; below "
+            "100 ms, identities come sooner",
+        },
     ),
     "camera.slow": Fault(
         W,

@@ -155,7 +155,8 @@ def check_camera(facts: CameraFacts) -> list[Finding]:
         return [fault("camera.stale", age_ms=age_ms, limit_s=facts.max_age_s)]
     findings = []
     if facts.live and age_ms > FRAME_LATE_MS:
-        findings.append(fault("camera.late", setting=kind, age_ms=age_ms))
+        why = re.search(r": the stream is late, or .*", text)
+        findings.append(fault("camera.late", setting=kind, age_ms=age_ms, why=why[0] if why else ""))
     got_hz = numbers.get("fps", 0.0)
     if facts.live and facts.asked_hz and 0.0 < got_hz < RATE_ENOUGH_SHARE * facts.asked_hz:
         findings.append(fault("camera.slow", got_hz=got_hz, asked_hz=facts.asked_hz))

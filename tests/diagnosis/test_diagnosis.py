@@ -288,6 +288,14 @@ def test_stamps_of_another_clock_are_named_with_their_offset():
     assert "their clock is 1.2 s behind UTC" in finding.found
 
 
+def test_a_late_stream_may_be_a_clock_that_is_behind():
+    doubt = "stamps are 299 ms old or more: the stream is late, or their clock is behind UTC"
+    text = f"streaming; 15.0 fps, age 300 ms; {doubt}"
+    (finding,) = camera(text, counters=late(300.0), kind="http")
+    assert "their clock is behind UTC" in finding.found
+    assert "chrony" in finding.remedy
+
+
 def test_a_port_that_is_no_uart_is_not_told_of_baud_rates():
     said = {
         link: autopilot(f"{link}: searching: bytes but no valid frame", ok=False)[0] for link in (UDP, SERIAL)
