@@ -33,7 +33,7 @@ from pathlib import Path
 
 from swarmtrack.camera_sources import v4l2_abi as abi
 from swarmtrack.camera_sources.address import CameraAddress, in_range, read_options
-from swarmtrack.camera_sources.decode import RAW_FORMATS, RawImage, decode_jpeg, decode_raw
+from swarmtrack.camera_sources.decode import JPEG_FORMATS, RAW_FORMATS, RawImage, decode_jpeg, decode_raw
 from swarmtrack.camera_sources.frame_slot import BadImage, FrameSlot, Freshness, RawFrame
 from swarmtrack.camera_sources.limits import (
     CAMERA_FIRST_BACKOFF_S,
@@ -57,8 +57,24 @@ from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
 from swarmtrack.plain_text import plain
 
 # What we decode, best first: JPEG must be decompressed, and of 16 bits the camera's own 8 are better stretched.
-FORMATS = ("GREY", "YUYV", "UYVY", "YVYU", "NV12", "NV21", "MJPG", "BGR3", "RGB3", "Y16")
-assert set(FORMATS) == {*RAW_FORMATS, "MJPG"}
+FORMATS = (
+    "GREY",
+    "YUYV",
+    "UYVY",
+    "YVYU",
+    "NV12",
+    "NV21",
+    "YU12",
+    "YV12",
+    "MJPG",
+    "JPEG",
+    "BGR3",
+    "RGB3",
+    "BGR4",
+    "Y16",
+)
+assert set(FORMATS) == {*RAW_FORMATS, *JPEG_FORMATS}
+CONVERT = "have another program convert it and serve it as rtsp:// or http:// (GStreamer, MediaMTX)"
 LIBCAMERA_DRIVERS = ("unicam", "rp1-cfe")
 
 
@@ -360,7 +376,7 @@ class Capture:
             data = memoryview(self.maps[index])[:bytes_used]
         except (IndexError, ValueError):
             raise BadImage("the camera was closed before it was decoded") from None
-        if self.fourcc == "MJPG":
+        if self.fourcc in JPEG_FORMATS:
             return decode_jpeg(data, grey)
         return decode_raw(
             data, RawImage(self.fourcc, *self.size, self.stride), grey=grey, stretch=self._stretch
@@ -434,7 +450,9 @@ def _expect_capture_node(path: str, capability: abi.Capability) -> None:
     card = _card(capability)
     if not flags & abi.CAP_VIDEO_CAPTURE:
         if flags & abi.CAP_VIDEO_CAPTURE_MPLANE:
-            raise CameraUnavailable(f"{path} ({card}) captures multi-planar only, which is not supported")
+            raise CameraUnavailable(
+                f"{path} ({card}) captures multi-planar only, which is not supported: {CONVERT}"
+            )
         raise CameraUnavailable(
             f"{path} ({card}) captures no video; cameras often have a second node for metadata, {_nodes(path)}"
         )
@@ -465,8 +483,7 @@ def _set_format(path: str, fd: int, wanted: tuple[str, ...], size: tuple[int, in
         advice = (
             f"add {readable[0]} to fourcc= in the address"
             if readable
-            else "select another mode of the camera, or have another program convert it and serve it as rtsp:// or "
-            "http:// (GStreamer, MediaMTX)"
+            else f"select another mode of the camera, or {CONVERT}"
         )
         raise CameraUnavailable(
             f"{path} offers {', '.join(offered) or 'no format'}, expected one of {', '.join(wanted)}: {advice}"

@@ -176,11 +176,14 @@ def test_every_frame_carries_the_kernels_start_of_exposure_and_its_own_picture(
 
 
 @needs_cc
-def test_motion_jpeg_is_decoded_and_grey_is_preferred_to_it(watch: Watch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fourcc", ["MJPG", "JPEG"])
+def test_motion_jpeg_is_decoded_and_grey_is_preferred_to_it(
+    watch: Watch, tmp_path: Path, fourcc: str
+) -> None:
     image = np.full((480, 640, 3), (10, 120, 230), np.uint8)
     (tmp_path / "image.jpg").write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
-    watch.script(formats="MJPG,GREY", jpeg=tmp_path / "image.jpg")
-    watch.start("fourcc=MJPG")
+    watch.script(formats=f"{fourcc},GREY", jpeg=tmp_path / "image.jpg")
+    watch.start(f"fourcc={fourcc}")
     assert watch.frame()["corner"] == pytest.approx([10, 120, 230], abs=4)
     (tmp_path / "image.jpg").write_bytes(b"\xff\xd8\xff nonsense")
     watch.status_that(lambda status: status["corrupt"] > 2)
@@ -263,6 +266,11 @@ def test_an_unplugged_camera_comes_back_and_its_frames_count_on(watch: Watch) ->
     [
         ({"formats": "H264"}, "", "offers H264, expected one of GREY, YUYV, UYVY"),
         ({"formats": "YUYV"}, "fourcc=MJPG", "offers YUYV, expected one of MJPG: add YUYV to fourcc="),
+        (
+            {"planes": 2},
+            "",
+            "captures multi-planar only, which is not supported: have another program convert it",
+        ),
         ({"formats": "NV16"}, "", "have another program convert it and serve it as rtsp://"),
         ({"formats": "GREY", "busy": 1}, "", "busy, held by"),
         ({"open_errno": 13}, "", "usermod -aG video"),
@@ -446,7 +454,17 @@ def seen_as(data: memoryview, form: RawImage, *, grey: bool = False) -> np.ndarr
 def packed(fourcc: str, width: int, height: int, stride: int) -> bytes:
     """A uniform image in a V4L2 format, by OpenCV's own conversion the other way."""
     image = np.full((height, width, 3), BGR, np.uint8)
-    if fourcc in ("BGR3", "RGB3"):
+    if fourcc in ("YU12", "YV12"):
+        code = cv2.COLOR_BGR2YUV_I420 if fourcc == "YU12" else cv2.COLOR_BGR2YUV_YV12
+        y, chroma = np.split(cv2.cvtColor(image, code).ravel(), [height * width])
+        lines = (y.reshape(height, width), chroma.reshape(height, width // 2))
+        return b"".join(
+            np.pad(plane, ((0, 0), (0, stride * plane.shape[1] // width - plane.shape[1]))).tobytes()
+            for plane in lines
+        )
+    if fourcc == "BGR4":
+        lines = cv2.cvtColor(image, cv2.COLOR_BGR2BGRA).reshape(height, -1)
+    elif fourcc in ("BGR3", "RGB3"):
         lines = (image if fourcc == "BGR3" else image[:, :, ::-1]).reshape(height, -1)
     elif fourcc in ("NV12", "NV21"):
         y, u, v = np.split(
@@ -464,10 +482,12 @@ def packed(fourcc: str, width: int, height: int, stride: int) -> bytes:
     return np.pad(lines, ((0, 0), (0, stride - lines.shape[1]))).tobytes()
 
 
-@pytest.mark.parametrize("fourcc", ["YUYV", "UYVY", "YVYU", "NV12", "NV21", "BGR3", "RGB3"])
+@pytest.mark.parametrize(
+    "fourcc", ["YUYV", "UYVY", "YVYU", "NV12", "NV21", "YU12", "YV12", "BGR3", "RGB3", "BGR4"]
+)
 @pytest.mark.parametrize("padding", [0, 16])
 def test_each_format_gives_the_colours_that_went_in(fourcc: str, padding: int) -> None:
-    used = {"NV12": 8, "NV21": 8, "BGR3": 24, "RGB3": 24}.get(fourcc, 16)
+    used = 8 * {"NV12": 1, "NV21": 1, "YU12": 1, "YV12": 1, "BGR3": 3, "RGB3": 3, "BGR4": 4}.get(fourcc, 2)
     data = memoryview(packed(fourcc, 8, 6, used + padding))
     seen = seen_as(data, RawImage(fourcc, 8, 6, (used + padding) if padding else 0))
     assert seen.shape == (6, 8, 3)
