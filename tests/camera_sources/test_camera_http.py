@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 
 from support.patience import PATIENCE
 from support.streams import (
-    Script,
     Send,
     StreamServer,
     assert_two_are_stamped,
@@ -25,6 +24,7 @@ from support.streams import (
     jpeg,
     nothing_comes_but,
     part,
+    repeating,
     sending,
     stream_server,
 )
@@ -165,15 +165,6 @@ async def test_bytes_without_a_picture_are_a_state_of_their_own(server: StreamSe
     camera = open_camera(server.url + "?timeout_s=0.5", clock=SystemClock())
     words = 'bytes come, but no picture: no line holds the boundary "frame"'
     await nothing_comes_but(words, camera, camera.frames())
-
-
-def repeating(message: bytes) -> Script:
-    async def script(send: Send) -> None:
-        while True:
-            await send(message)
-            await asyncio.sleep(0.02)
-
-    return script
 
 
 @pytest.mark.parametrize(
