@@ -7,14 +7,14 @@ is picked from all of them, in lines of their own or in one.
 
 from __future__ import annotations
 
-import re
-from base64 import b64encode
 from typing import TYPE_CHECKING, Any, cast
 
 import aiohttp
 from aiohttp import hdrs
 from multidict import CIMultiDict, CIMultiDictProxy
 from yarl import URL
+
+from swarmtrack.camera_sources.challenges import basic, challenges_of, schemes_of
 
 if TYPE_CHECKING:
     from aiohttp.client_middlewares import ClientHandlerType
@@ -33,18 +33,6 @@ class _Challenged:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.response, name)
-
-
-_QUOTED = re.compile(r'"(?:[^"\\]|\\.)*+"?')
-# A parameter has an equals sign, a scheme has none.
-_SCHEME_START = re.compile(r"(?:^|,)\s*+([^\s,=]++)(?!\s*=)")
-
-
-def _challenges_of(line: str) -> list[str]:
-    """Challenges of one header line, each from its scheme on. RFC 9110, section 11.6.1."""
-    unquoted = _QUOTED.sub(lambda quoted: "-" * len(quoted[0]), line)
-    starts = [found.start(1) for found in _SCHEME_START.finditer(unquoted)]
-    return [line[start:end].rstrip(", ") for start, end in zip(starts, [*starts[1:], len(line)], strict=True)]
 
 
 class LoginMiddleware:
@@ -70,8 +58,8 @@ class LoginMiddleware:
                 return response
             response.release()
             lines = response.headers.getall(hdrs.WWW_AUTHENTICATE, [])
-            challenges = [each for line in lines for each in _challenges_of(line)]
-            self.schemes = tuple(each.split(maxsplit=1)[0].lower() for each in challenges)
+            challenges = challenges_of(lines)
+            self.schemes = schemes_of(challenges)
             digest = next((each for each in challenges if each.lower().startswith("digest")), "none")
             return cast(aiohttp.ClientResponse, _Challenged(response, digest))
 
@@ -81,5 +69,5 @@ class LoginMiddleware:
         if "digest" in self.schemes or ("basic" not in self.schemes and self.schemes):
             return response.response
         # Some cameras answer 401 and name no scheme: they mean basic.
-        request.headers[hdrs.AUTHORIZATION] = f"Basic {b64encode(':'.join(self._login).encode()).decode()}"
+        request.headers[hdrs.AUTHORIZATION] = basic(self._login)
         return await handler(request)

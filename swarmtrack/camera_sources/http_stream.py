@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import asyncio
 import os
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import aiohttp
 
 HINTS = {
-    401: ": give user and password, http://USER:PASSWORD@HOST/…",
+    401: ": give user and password, {scheme}://USER:PASSWORD@HOST/…",
     403: ": check user, password and their rights",
     404: ": check the path",
 }
@@ -52,6 +52,14 @@ class NetworkOptions(StreamOptions):
     """Options of `http:` and `rtsp:`."""
 
     resize: bool = False
+
+
+def refusal(scheme: str, status: int, reason: str, asked: Sequence[str] | None) -> str:
+    """Sentence on a server's answer that is no stream. asked: for which schemes of login, None where none is given."""
+    hint = HINTS.get(status, "").format(scheme=scheme)
+    if status == 401 and asked is not None:
+        hint = f": user or password is not accepted (asked for: {', '.join(asked) or 'no known scheme'})"
+    return f"{'RTSP' if scheme == 'rtsp' else 'HTTP'} {status} {reason}{hint}"
 
 
 Read = Callable[["aiohttp.ClientResponse"], Awaitable[None]]
@@ -117,11 +125,9 @@ class HttpStream:
                 try:
                     async with session.get(self._url) as response:
                         if response.status != 200:
-                            hint = HINTS.get(response.status, "")
-                            if response.status == 401 and login is not None:
-                                asked = ", ".join(login.schemes) or "no known scheme"
-                                hint = f": user or password is not accepted (asked for: {asked})"
-                            raise StreamEnded(f"HTTP {response.status} {response.reason}{hint}")
+                            asked = None if login is None else login.schemes
+                            scheme, reason = self._url.partition(":")[0], response.reason or ""
+                            raise StreamEnded(refusal(scheme, response.status, reason, asked))
                         self._slot.source.counts.reconnects += received > 0
                         same_machine = _from_here(response)
                         self._slot.source.stamps = StampClock(self._clock, same_machine=same_machine)

@@ -85,6 +85,12 @@ FAULTS: dict[str, Fault] = {
         "ping its host, open the address in a browser, and check port, path and password",
         {"rtsp": "ping its host, open the address in a player (ffplay, VLC), and check port, path and password"},
     ),
+    "camera.login": Fault(
+        F,
+        "the camera refuses the login: {reason}",
+        "write the camera's user and password into camera.source, SCHEME://USER:PASSWORD@HOST/PATH (docs/boards.md, a "
+        "camera by network), and check the user's rights in the camera's settings",
+    ),
     "camera.silent": Fault(
         F,
         "the camera is open but sent no frame in {seconds:.0f} s: {reason}",

@@ -40,7 +40,11 @@ CAMERA_TROUBLES = (
     ("camera.missing", r"is not there|unplugged"),
     ("camera.forbidden", r"permission denied"),
     ("camera.busy", r": busy, held by"),
-    ("camera.unreachable", r"cannot connect|HTTP \d+|answers, but gives no video|ended the stream|^lost: "),
+    ("camera.login", r"(HTTP|RTSP) 40[13]\b"),
+    (
+        "camera.unreachable",
+        r"cannot connect|(HTTP|RTSP) \d+|answers, but gives no video|ended the stream|^lost: ",
+    ),
     ("camera.silent", r"waiting for the first frame|no frame for|no frame yet|nothing for|not opened yet"),
 )
 AUTOPILOT_TROUBLES = (

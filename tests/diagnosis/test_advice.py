@@ -82,6 +82,7 @@ BEYOND = {
         CALIBRATION,
     ),
     **dict.fromkeys(("detector.slow", "tracking.noisy", "tracking.sure", "tracking.careful"), TUNING),
+    "camera.login": "a login that is given or wrong is followed in tests/camera_sources/test_http_login.py",
     "network.id_clash": "a clash and its end are followed in tests/transport/test_transport.py",
     "autopilot.second": "an ID that is set chooses its autopilot in tests/autopilot/test_shared_links.py",
     "network.absent": "an agent that is started answers in tests/live/test_doctor.py",

@@ -135,6 +135,7 @@ PRODUCED = {
     "camera.forbidden": lambda: camera("/dev/video0: permission denied; run `sudo …`", ok=False, frames=0),
     "camera.busy": lambda: camera("/dev/video0: busy, held by cheese (pid 7)", ok=False, frames=0),
     "camera.unreachable": lambda: camera("cannot connect to pi port 80: refused; trying again", ok=False),
+    "camera.login": lambda: camera("RTSP 401 Unauthorized: give user and password; trying again", ok=False),
     "camera.silent": lambda: camera("UVC: YUYV 640x480; waiting for the first frame", ok=False, frames=0),
     "camera.garbled": lambda: camera("bytes come, but no picture: no line holds the boundary", ok=False, frames=0),
     "camera.size": lambda: camera("frames are 64x48, the calibration is for 640x480: set", ok=False),
