@@ -34,7 +34,11 @@ _LOGIN = re.compile(
     rf"({_SCHEME}(?://)?+)(?!\[?(?:USER:)?PASSWORD@)(?:[^\s\"@]{{1,300}}+@)+",
     re.IGNORECASE,
 )
-_URL = re.compile(rf"{_SCHEME}//[^\s\"]*[^\s\"'),;:]", re.IGNORECASE)
+# Whole, or the path and query alone, which a server may repeat.
+_URL = re.compile(
+    rf"(?:{_SCHEME}//|(?<![\w/:.-])/(?!dev/)[^\s\"?=]*\?)[^\s\"]*[^\s\"'),;:]",
+    re.IGNORECASE,
+)
 _SECRET = re.compile(r"\b(\w{0,60}(?:pass|pwd|psw|loginpas|secret|token)\w{0,20}=)[^\s\"&;]+", re.IGNORECASE)
 # Options of our own, and numbers too short for a secret: the channel of a recorder.
 _HARMLESS = re.compile(r"(?:(?:latency_ms|sigma_ms|timeout_s|resize)=.*|\w+=\d{1,2})?")
@@ -47,7 +51,7 @@ def hide_logins(text: str) -> str:
     """
     if "@" in text:
         text = _LOGIN.sub(r"\1…@", text)
-    if "://" in text:
+    if "?" in text or "=" in text:
         text = _URL.sub(_hide_values, text)
     return _SECRET.sub(r"\1…", text) if "=" in text else text
 

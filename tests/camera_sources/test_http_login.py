@@ -239,7 +239,7 @@ def test_what_is_no_secret_of_an_address_is_shown() -> None:
         f"302 Found\r\nLocation: /v?user=admin&p={SECRET}",
         f"302 Found\r\nLocation: ftp://admin:{SECRET}@x/y?key={SECRET}",
         f"500 http://cam/v?key={SECRET}",
-        f"500 /v?pwd={SECRET}",
+        f"500 /v?key={SECRET}",
     ],
     ids=["to itself", "to another scheme", "in its reason", "in its reason, without the host"],
 )
@@ -261,6 +261,9 @@ async def test_no_answer_of_a_server_shows_a_password(answer: str, caplog: pytes
     [
         (f'found "http://a:{SECRET}@cam/x", expected', 'found "http://…@cam/x", expected'),
         (f"url='http://cam/x?u=a&p={SECRET}'; again", "url='http://cam/x?u=…&p=…'; again"),
+        (f"no '/x?p={SECRET}' here", "no '/x?p=…' here"),
+        ("/dev/video0?width=640: busy", "/dev/video0?width=640: busy"),
+        ("/clips/run=3/a.mp4: not found", "/clips/run=3/a.mp4: not found"),
         ("give http://USER:PASSWORD@HOST/…", "give http://USER:PASSWORD@HOST/…"),
         ("file:///clips/a@2x.mp4: not found", "file:///clips/a@2x.mp4: not found"),
         ("images://a@b: none", "images://a@b: none"),
