@@ -40,7 +40,10 @@ def why_no_video(where: tuple[str, int], url: str, login: Login | None, timeout_
     except (OSError, ValueError, http.client.HTTPException):
         return f"{silent}: check path, user and password"
     if answer.status == http.client.OK:
-        return f"{silent} that can be read, though it accepts path and login: select H.264 in its settings"
+        return (
+            f"{silent} that can be read, though it accepts path and login: select H.264 in its settings, or set "
+            "OPENCV_FFMPEG_CAPTURE_OPTIONS=rtsp_transport;udp"
+        )
     return refusal(
         "rtsp", answer.status, answer.reason, None if login is None else schemes_of(answer.challenges)
     )
