@@ -14,7 +14,7 @@ import re
 import struct
 from array import array
 from bisect import bisect_left
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeGuard
 
@@ -70,6 +70,7 @@ LOGGED_MESSAGES = frozenset(
     {"IMU", *RAW_GYROS, *RAW_ACCELS, "ATT", *QUATERNIONS, *STATES, *STATES.values(), BACKUP}
     | {"POS", "ORGN", "GPS", "GPA", "ARM", "EV", "STAT", "PARM", "MSG"}
 )
+STATE = ("PN", "PE", "PD", "VN", "VE", "VD")
 # Bits of a state's SS: relative or absolute position, and height.
 LEVEL_KNOWN, HEIGHT_KNOWN = 1 << 3 | 1 << 4, 1 << 5
 # Bits of INS_RAW_LOG_OPT: what is logged as raw has passed the filter; and what has not is logged beside it.
@@ -112,7 +113,7 @@ def _flight(path: Path) -> LoggedFlight:
         parameters["INS_GYRO_FILTER"] = 0.0
     gps = _receiver_in_use(log.messages.get("GPS"))
     said = _said(log.messages, gyro, gps, parameters)
-    return LoggedFlight(frames(said, system), _utc_offset(gps), system)
+    return LoggedFlight(frames(said, system), _utc_offset(gps), system, _left_out(log.messages))
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -356,7 +357,7 @@ def _positions(messages: dict[str, dict[str, Array]]) -> Said:
     origin = _origin(messages.get("ORGN"))
     if places := _places(messages.get("POS")):
         yield from _global_positions(places, origin)
-    elif states := list(_states(messages)):
+    elif states := _states(messages)[0]:
         for t, *row in states:
             position, velocity = row[:3], row[3:]
             yield local_position(t, position, velocity)
@@ -391,24 +392,32 @@ def _global_positions(places: list[tuple[float, Geodetic]], origin: Geodetic | N
         yield global_position(t, place, velocity)
 
 
-def _states(messages: dict[str, dict[str, Array]]) -> Iterator[list[float]]:
-    """time [s], position [m] and velocity [m/s] in NED from the estimator's origin, while it holds them for known."""
-    names = ("PN", "PE", "PD", "VN", "VE", "VD")
+def _states(messages: dict[str, dict[str, Array]]) -> tuple[list[list[float]], int]:
+    """time [s], position [m] and velocity [m/s] in NED from the estimator's origin, while it holds them for known; and
+    how many it does not.
+    """
     for name, status in STATES.items():
         columns = _of_one_sensor(messages.get(name))
-        if not _has(columns, *names):
-            continue
-        yield from thinned(rows(_known(columns, _of_one_sensor(messages.get(status))), *names))
-        return
+        if _has(columns, *STATE):
+            known = _known(columns, _of_one_sensor(messages.get(status)))
+            return list(thinned(rows(_where(columns, known), *STATE))), int(np.count_nonzero(known == 0))
+    return [], 0
 
 
-def _known(states: Columns, statuses: Columns | None) -> Columns:
-    """Those whose status, written right after them, says so."""
+def _known(states: Columns, statuses: Columns | None) -> Array:
+    """(n,) whether the status, which is written right after a state, holds its position for known."""
     if not _has(statuses, "SS"):
-        return states
+        return np.ones(len(states["timestamp"]), bool)
     after = np.searchsorted(statuses["timestamp"], states["timestamp"])
     flags = statuses["SS"].astype(int)[np.minimum(after, len(statuses["SS"]) - 1)]
-    return _where(states, (flags & LEVEL_KNOWN != 0) & (flags & HEIGHT_KNOWN != 0))
+    return np.asarray((flags & LEVEL_KNOWN != 0) & (flags & HEIGHT_KNOWN != 0))
+
+
+def _left_out(messages: dict[str, dict[str, Array]]) -> tuple[str, ...]:
+    """Positions that are not used, in words."""
+    unknown = 0 if _places(messages.get("POS")) else _states(messages)[1]
+    why = "not known by the estimator's own word, XKF4.SS: take off once it has GPS, optical flow or vision"
+    return (f"{unknown} positions ({why})",) if unknown else ()
 
 
 def _is_place(latitude: float, longitude: float, height: float) -> bool:

@@ -486,11 +486,14 @@ class TlogLink(RecordingLink):
 
 
 class LoggedLink(RecordingLink):
-    """An autopilot's own log, as the telemetry it would have sent meanwhile."""
+    """An autopilot's own log, as the telemetry it would have sent meanwhile. left_out: of it, in words."""
+
+    left_out: tuple[str, ...] = ()
 
     async def run(self, receiver: Receiver) -> None:
         flight = read_log(self.address.scheme, Path(self.address.path))
         _read_log.cache_clear()
+        self.left_out = flight.left_out
         receiver.opened()
         await self._play(flight.records, receiver)
 

@@ -47,7 +47,7 @@ from swarmtrack.autopilot.limits import (
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
-from swarmtrack.autopilot.links import Link, LinkDown, UdpLink, Wire, open_link
+from swarmtrack.autopilot.links import Link, LinkDown, LoggedLink, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.signing import Codec, read_key
@@ -323,7 +323,8 @@ class MavlinkAutopilot:
         if contact.system is None:
             raise SourceError(self.status().text)
         unread = frozenset(common.mavlink_map) - self._readers.keys()
-        return list(self._account.lines(contact, self._framer, self._telemetry, unread))
+        left_out = self._link.left_out if isinstance(self._link, LoggedLink) else ()
+        return list(self._account.lines(contact, self._framer, self._telemetry, unread, left_out=left_out))
 
     @property
     def trouble(self) -> str:
