@@ -32,6 +32,7 @@ from swarmtrack.autopilot.limits import (
     LINK_SEND_BUFFER_BYTES,
     RECORDS_PER_TURN,
     SERIAL_READ_BYTES,
+    TLOG_SAID_STEPS,
     UDP_PEER_SILENT_S,
 )
 from swarmtrack.autopilot.log_files import check_kind
@@ -461,13 +462,25 @@ class TlogLink(RecordingLink):
 
     # Some programs write whatever they have read.
     datagrams = False
+    _steps = 0
 
     async def run(self, receiver: Receiver) -> None:
         with self._map() as data:
+            self._steps = 0
             receiver.opened()
-            await self._play(records(data, self._on_step), receiver)
+            await self._play(records(data, self._on_step, self._on_useless), receiver)
+        if self._steps > TLOG_SAID_STEPS:
+            log.warning("%s: that clock was set %d times in all", self.address, self._steps)
+
+    def _on_useless(self) -> None:
+        log.warning(
+            "%s: the times in it do not advance as time does: those of its autopilot are used", self.address
+        )
 
     def _on_step(self, at: float, by: float) -> None:
+        self._steps += 1
+        if self._steps > TLOG_SAID_STEPS:
+            return
         log.warning(
             "%s: the clock of the computer that wrote it was set by %+.1f s at %.1f s: its times go on by the "
             "autopilot's clock",

@@ -12,9 +12,11 @@ from support.autopilot_flight import Listener
 from support.fake_autopilot import FakeAutopilot
 from support.mutants import mutants
 from support.places import SHARED
+from swarmtrack.autopilot.limits import TLOG_MOST_STEPS
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.tlog import records
 from swarmtrack.clock import ManualClock
+from swarmtrack.errors import SourceError
 
 UTC = 1_700_000_000.0
 BOOT = 40.0  # s since its boot, at the first record
@@ -206,3 +208,56 @@ async def test_all_of_a_real_flight_is_imported_when_its_computers_clock_is_set(
     assert kept.poses[-1].t == pytest.approx(1000.0 + lasts, abs=0.03)
     assert np.diff([sample.t for sample in kept.imu]).max() < 0.02
     assert "was set by" in caplog.text
+
+
+USELESS_STAMPS = {
+    "zero": lambda t: bytes(8),
+    "all equal": lambda t: round(1e6 * UTC).to_bytes(8, "big"),
+    "milliseconds": lambda t: round(1e3 * (UTC + t)).to_bytes(8, "big"),
+    "little-endian": lambda t: round(1e6 * (UTC + t)).to_bytes(8, "little"),
+    "two by turns": lambda t: round(1e6 * (UTC + 3600.0 * (int(1e3 * t) % 2))).to_bytes(8, "big"),
+}
+
+
+@pytest.mark.parametrize("stamp", USELESS_STAMPS.values(), ids=USELESS_STAMPS)
+def test_where_the_stamps_do_not_advance_as_time_does_the_autopilot_tells_all_times(stamp):
+    frames, told = flight(60.0), []
+    data = b"".join(stamp(t) + frame for t, frame in frames)
+    found = list(records(data, on_useless=lambda: told.append(True)))
+    assert told == [True]
+    assert [frame for _, frame in found] == [frame for _, frame in frames]
+    assert [t for t, _ in found] == pytest.approx([t for t, _ in frames], abs=0.08)
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0, 10.0])
+def test_a_simulation_may_be_slower_or_faster_than_time(speed):
+    frames = [(t / speed, frame) for t, frame in flight(30.0)]
+    told = []
+    found = list(records(tlog(frames), on_useless=lambda: told.append(True)))
+    assert [t - UTC for t, _ in found] == pytest.approx([t for t, _ in frames], abs=1e-5)
+    assert told == []
+
+
+def test_what_a_radio_had_held_back_at_the_beginning_is_no_useless_stamp():
+    frames = [(max(t, 10.0), frame) for t, frame in flight(17.0)]
+    told = []
+    list(records(tlog(frames), on_useless=lambda: told.append(True)))
+    assert told == []
+
+
+async def test_a_clock_that_leaps_all_the_time_is_refused_and_its_first_steps_are_said(tmp_path, caplog):
+    frames = flight(300.0)
+    path = tmp_path / "flight.tlog"
+    for leaps in (50, 200):
+        path.write_bytes(
+            tlog([(t + 3600.0 * (int(t) % 2 and 20.0 < t < 20.0 + leaps), frame) for t, frame in frames])
+        )
+        autopilot, kept = MavlinkAutopilot(f"tlog:{path}?speed=0", clock=ManualClock(1000.0)), Listener()
+        if leaps > TLOG_MOST_STEPS:
+            with pytest.raises(SourceError, match="leap more than 100 times"):
+                await autopilot.run(kept)
+            continue
+        await autopilot.run(kept)
+        said = [record.message for record in caplog.records if "was set" in record.message]
+        assert len(said) == 4
+        assert said[-1].endswith("that clock was set 50 times in all")
