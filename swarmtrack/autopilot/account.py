@@ -88,7 +88,11 @@ class Account:
         if telemetry.stamps.copies:
             wasted.append(f"{telemetry.stamps.copies} copies of earlier messages")
         if contact.foreign:
-            wasted.append(f"{contact.foreign} messages of other systems or components")
+            others = [f"{at} {what}".strip() for at, what in contact.others.items() if at != contact.address]
+            named = f" ({', '.join(others)})" if others else ""
+            wasted.append(f"{contact.foreign} messages of other systems or components{named}")
+        if contact.early_lost:
+            wasted.append(f"{contact.early_lost} messages from before the autopilot's first heartbeat")
         if framer.bad_bytes:
             wasted.append(f"{framer.bad_bytes} bytes outside of whole frames")
         if framer.unknown:
