@@ -480,7 +480,8 @@ class TlogLink(RecordingLink):
 
     def _on_useless(self) -> None:
         log.warning(
-            "%s: the times in it do not advance as time does: those of its autopilot are used", self.address
+            "%s: the times in it do not advance as time does: those of its autopilot are used from here on",
+            self.address,
         )
 
     def _on_step(self, at: float, by: float) -> None:

@@ -42,7 +42,6 @@ from swarmtrack.autopilot.limits import (
     TLOG_WINDOW_RECORDS,
     TLOG_WINDOW_S,
 )
-from swarmtrack.errors import SourceError
 
 STAMP_LENGTH = 8
 # A stamp of the years 1970 … 2103 in microseconds with a magic byte behind it.
@@ -111,15 +110,15 @@ def records(
     """(UTC [s] by the first record's clock, bytes) of each record of a telemetry log; times never go back.
 
     on_step: told of each step of the log's clock: s since the first record, and by how much [s]; on_useless: told that
-    the stamps do not advance as time does, so that times count from 0. Raises SourceError where the clock steps all the
-    time.
+    the stamps do not advance as time does, so that times count from 0, or that its clock steps all the time.
     """
     base = _base_instead(data)
     if base is None:
-        yield from _by_stamps(data, on_step)
+        yield from _by_stamps(data, on_step, on_useless)
     else:
         on_useless()
-        yield from _by_frames(data, base)
+        pieces = (data[begin : begin + FIRST_BYTES] for begin in range(0, len(data), FIRST_BYTES))
+        yield from _by_frames(pieces, base, 0.0)
 
 
 def _base_instead(data: Bytes) -> TimeBase | None:
@@ -168,11 +167,11 @@ def _main_base(
     return best, [] if best is None else found[best]
 
 
-def _by_frames(data: Bytes, base: TimeBase) -> Iterator[tuple[float, bytes]]:
-    """(s since the first frame by this time base, frame); what stands between frames is lost."""
-    framer, last, t = Framer(), None, 0.0
-    for begin in range(0, len(data), FIRST_BYTES):
-        for frame in framer.feed(data[begin : begin + FIRST_BYTES]):
+def _by_frames(pieces: Iterable[bytes], base: TimeBase | None, t: float) -> Iterator[tuple[float, bytes]]:
+    """(time, frame), by this time base from t [s] on; what stands between frames is lost."""
+    framer, last = Framer(), None
+    for piece in pieces:
+        for frame in framer.feed(piece):
             own = _own_time(frame)
             if own is not None and own[0] == base:
                 # Not on where the autopilot begins again.
@@ -182,7 +181,9 @@ def _by_frames(data: Bytes, base: TimeBase) -> Iterator[tuple[float, bytes]]:
             yield t, frame.data
 
 
-def _by_stamps(data: Bytes, on_step: Callable[[float, float], None]) -> Iterator[tuple[float, bytes]]:
+def _by_stamps(
+    data: Bytes, on_step: Callable[[float, float], None], on_useless: Callable[[], None]
+) -> Iterator[tuple[float, bytes]]:
     found = _stamped_records(data)
     past: deque[LoggedBytes] = deque(maxlen=TLOG_WINDOW_RECORDS)
     ahead: deque[LoggedBytes] = deque()
@@ -203,11 +204,12 @@ def _by_stamps(data: Bytes, on_step: Callable[[float, float], None]) -> Iterator
                 record.t = record.stamp + shift
                 on_step(record.t - first.t, step)
                 steps += 1
-                if steps > TLOG_MOST_STEPS:
-                    raise SourceError(
-                        f"the stamps of the telemetry log leap more than {TLOG_MOST_STEPS} times, expected those of "
-                        "one clock: is it damaged?"
-                    )
+                if steps == TLOG_MOST_STEPS:
+                    on_useless()
+                    rest = (each.data for each in itertools.chain((record, *ahead), found))
+                    base, _ = _main_base((own, 0.0) for each in past for own in each.own_times)
+                    yield from _by_frames(rest, base, record.t)
+                    return
         if last is not None:
             record.t = max(record.t, last.t)
         last = record

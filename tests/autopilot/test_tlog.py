@@ -12,11 +12,9 @@ from support.autopilot_flight import Listener
 from support.fake_autopilot import FakeAutopilot
 from support.mutants import mutants
 from support.places import SHARED
-from swarmtrack.autopilot.limits import TLOG_MOST_STEPS
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.tlog import records
 from swarmtrack.clock import ManualClock
-from swarmtrack.errors import SourceError
 
 UTC = 1_700_000_000.0
 BOOT = 40.0  # s since its boot, at the first record
@@ -245,19 +243,16 @@ def test_what_a_radio_had_held_back_at_the_beginning_is_no_useless_stamp():
     assert told == []
 
 
-async def test_a_clock_that_leaps_all_the_time_is_refused_and_its_first_steps_are_said(tmp_path, caplog):
-    frames = flight(300.0)
-    path = tmp_path / "flight.tlog"
-    for leaps in (50, 200):
-        path.write_bytes(
-            tlog([(t + 3600.0 * (int(t) % 2 and 20.0 < t < 20.0 + leaps), frame) for t, frame in frames])
-        )
-        autopilot, kept = MavlinkAutopilot(f"tlog:{path}?speed=0", clock=ManualClock(1000.0)), Listener()
-        if leaps > TLOG_MOST_STEPS:
-            with pytest.raises(SourceError, match="leap more than 100 times"):
-                await autopilot.run(kept)
-            continue
-        await autopilot.run(kept)
-        said = [record.message for record in caplog.records if "was set" in record.message]
-        assert len(said) == 4
-        assert said[-1].endswith("that clock was set 50 times in all")
+async def test_of_a_clock_that_leaps_all_the_time_the_first_steps_are_said_and_the_autopilot_tells(
+    tmp_path, caplog
+):
+    frames, path = flight(300.0), tmp_path / "flight.tlog"
+    path.write_bytes(tlog([(t + 3600.0 * (int(t) % 2 and t > 20.0), frame) for t, frame in frames]))
+    autopilot, kept = MavlinkAutopilot(f"tlog:{path}?speed=0", clock=ManualClock(1000.0)), Listener()
+    await autopilot.run(kept)
+    assert len(kept.poses) == 6000
+    assert kept.poses[-1].t == pytest.approx(1300.0, abs=0.5)
+    said = [record.message for record in caplog.records if "was set" in record.message]
+    assert len(said) == 4
+    assert said[-1].endswith("that clock was set 100 times in all")
+    assert "those of its autopilot are used from here on" in caplog.text
