@@ -82,7 +82,7 @@ class Account:
         yield f"came from autopilot {contact.address}: {_in_words(read) or 'nothing that is read'}"
         gyro, attitudes, positions = telemetry.intakes
         hz = self._gyro_hz(telemetry)
-        source = f" from {telemetry.imu_source.name} ({hz:.3g} Hz)" if gyro.used else ""
+        source = f" from {telemetry.imu_source.name} ({_in_hz(hz)})" if gyro.used else ""
         yield f"used: {gyro.used} gyro samples{source}, {attitudes.used} attitudes, {positions.used} positions"
         wasted = [*left_out, *(intake.unused for intake in telemetry.intakes if intake.unused)]
         if telemetry.stamps.copies:
@@ -121,7 +121,7 @@ class Account:
             yield f"no gyro sample is usable, so tracks are lost in each turn: {denser}"
         elif hz < 0.95 * SLOWEST_USEFUL_GYRO_HZ:
             yield (
-                f"the gyro is too slow, {hz:.3g} Hz and at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed, so tracks "
+                f"the gyro is too slow, {_in_hz(hz)} and at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed, so tracks "
                 f"are lost in each turn: {denser}"
             )
         if not attitudes.used:
@@ -140,7 +140,11 @@ class Account:
 
 
 def _in_words(came: dict[int, Arrivals]) -> str:
-    return ", ".join(f"{each.count} {_name(i)} ({each.hz:.3g} Hz)" for i, each in came.items())
+    return ", ".join(f"{each.count} {_name(i)} ({_in_hz(each.hz)})" for i, each in came.items())
+
+
+def _in_hz(rate: float) -> str:
+    return f"{rate:.3g} Hz" if rate < 999.5 else f"{rate:.0f} Hz"
 
 
 def _name(message_id: int) -> str:

@@ -242,13 +242,14 @@ def _has(columns: Columns | None, *names: str) -> TypeGuard[Columns]:
 
 
 def _of_one_sensor(columns: Columns | None) -> Columns | None:
-    """Of the sensor that is logged most often, of equals the first; None without a time stamp."""
+    """Of the sensor that is logged most often as healthy, of equals the first; None without a time stamp."""
     if columns is None or not _has(columns):
         return None
     instances = next((columns[name] for name in INSTANCES if name in columns), None)
     if instances is None:
         return columns
-    numbers, counts = np.unique(instances, return_counts=True)
+    healthy = columns["GH"] == 1 if "GH" in columns else np.ones(len(instances), bool)
+    numbers, counts = np.unique(instances[healthy] if healthy.any() else instances, return_counts=True)
     return _where(columns, instances == numbers[counts.argmax()])
 
 

@@ -95,11 +95,25 @@ async def test_the_raw_gyro_is_used_where_it_is_the_densest(tmp_path, beside):
     assert kept.imu[9].accel == pytest.approx(ACCEL)
     assert len(kept.poses) == pytest.approx(50, abs=1)
     assert "too slow" not in "\n".join(account)
+    assert account[1].startswith("used: 2000 gyro samples from HIGHRES_IMU (1000 Hz)")
 
 
 async def test_a_dense_imu_is_used_rather_than_a_sparser_raw_gyro(tmp_path):
     kept, _ = await played(tmp_path, lambda log: imu(log, 400), lambda log: raw(log, 100))
     assert kept.imu[9].gyro == pytest.approx([0.0, 0.0, 0.4])
+
+
+async def test_of_several_sensors_the_first_that_is_healthy_is_used(tmp_path):
+    def sensors(log: DataflashLog) -> None:
+        log.define("IMU", "QBffffffB", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ,GH")
+        for k in range(400):
+            for sensor in range(3):
+                rates = GYRO if sensor == 1 else (0.0, 0.0, 0.0)
+                log.add("IMU", BOOT_US + 5000 * k, sensor, *rates, *ACCEL, sensor > 0)
+
+    kept, _ = await played(tmp_path, sensors)
+    assert len(kept.imu) == pytest.approx(400, abs=2)
+    assert kept.imu[9].gyro == pytest.approx(GYRO)
 
 
 @pytest.mark.parametrize(("option", "filtered"), [(0, False), (1, False), (4, True), (5, True), (8, False)])
