@@ -10,7 +10,12 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.autopilot.contact import Contact
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.limits import SLOWEST_USEFUL_GYRO_HZ
-from swarmtrack.autopilot.streams import GLOBAL_POSITION_INT, LOCAL_POSITION_NED
+from swarmtrack.autopilot.streams import (
+    GLOBAL_POSITION_INT,
+    GPS2_RAW,
+    GPS_RAW_INT,
+    LOCAL_POSITION_NED,
+)
 from swarmtrack.autopilot.telemetry import Telemetry
 
 # Of messages that are not read, so many kinds are named.
@@ -32,7 +37,7 @@ class Arrivals:
         return (self.count - 1) / span if span > 0.0 else 0.0
 
 
-# How to come to an attitude and to a position, by the kind of log.
+# How to come to an attitude, to a position and to a fix of GPS, by the kind of log.
 ATTITUDES_NEEDED = {
     "tlog": "ATTITUDE_QUATERNION or ATTITUDE is needed",
     "ulog": "the topic vehicle_attitude is needed (SDLOG_PROFILE)",
@@ -42,6 +47,11 @@ POSITIONS_NEEDED = {
     "tlog": "LOCAL_POSITION_NED is needed",
     "ulog": "the topic vehicle_local_position with valid positions is needed (SDLOG_PROFILE)",
     "bin": "POS or a valid XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)",
+}
+FIXES_NEEDED = {
+    "tlog": "GPS_RAW_INT or GPS2_RAW is needed (ArduPilot SRn_EXT_STAT)",
+    "ulog": "the topic vehicle_gps_position or sensor_gps is needed (SDLOG_PROFILE)",
+    "bin": "GPS is needed (LOG_BITMASK: GPS, bit 2)",
 }
 # How to come to a denser gyro, by the kind of log.
 DENSER_LOGS = {
@@ -127,16 +137,16 @@ class Account:
         if not attitudes.used:
             yield f"no attitude is usable, so no teammate is named: {ATTITUDES_NEEDED[kind]}"
         if not positions.used:
-            why = self._why_no_position(telemetry, now) or POSITIONS_NEEDED[kind]
+            why = self._why_no_position(telemetry, now, kind)
             yield f"no position is usable, so the drone's place is unknown: {why}"
 
-    def _why_no_position(self, telemetry: Telemetry, now: float) -> str:
-        """Empty where nothing says it."""
+    def _why_no_position(self, telemetry: Telemetry, now: float, kind: str) -> str:
+        """kind: of log."""
         if lack := telemetry.lack(now):
-            return lack
+            return lack if {GPS_RAW_INT, GPS2_RAW} & self._came.keys() else FIXES_NEEDED[kind]
         if GLOBAL_POSITION_INT in self._came and LOCAL_POSITION_NED not in self._came:
             return 'the log has GLOBAL_POSITION_INT only, which drone.start = { from = "gps" } and a team.origin use'
-        return ""
+        return POSITIONS_NEEDED[kind]
 
 
 def _in_words(came: dict[int, Arrivals]) -> str:

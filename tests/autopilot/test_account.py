@@ -179,6 +179,9 @@ async def test_an_autopilots_own_log_names_what_is_missing_in_its_own_words(tmp_
             log.add("XKF4", 10_000_000 + 5000 * k, 0, 0x81)
     path = tmp_path / "1.BIN"
     path.write_bytes(log.bytes())
+    gps = GlobalPosition(Geodetic.from_degrees(47.0, 8.0, 400.0))
+    *_, fix = await account(path, gps, scheme="bin")
+    assert fix.endswith("GPS is needed (LOG_BITMASK: GPS, bit 2)")
     _, _, unused, attitude, position = await account(path, scheme="bin")
     assert unused.startswith("not used: 20 positions (not known by the estimator's own word, XKF4.SS: ")
     assert attitude.endswith("ATT, XKQ or XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)")
