@@ -26,7 +26,8 @@ class Contact:
     message; others: further senders, and their kind; signature_trouble: why signed frames are rejected; system,
     component, kind, vehicle: of our autopilot, None before it is chosen; the last two are MAV_AUTOPILOT and MAV_TYPE;
     changeling: type of vehicle that speaks under the ID of ours as well, and when it did last; shared_at: when ours
-    spoke after it; version_2_at: when ours last spoke MAVLink 2.
+    spoke after it; version_2_at: when ours last spoke MAVLink 2; foreign: messages of others; early_lost: messages that
+    came long before ours was chosen.
     """
 
     expected_system: int | None
@@ -49,6 +50,7 @@ class Contact:
     candidates: AutopilotCandidates = field(init=False)
     signature_trouble: str = ""
     foreign: int = 0
+    early_lost: int = 0
     reconnects: int = 0
 
     def __post_init__(self) -> None:

@@ -73,6 +73,9 @@ IMPOSSIBLE, OTHER_CLOCK, STANDING_CLOCK = (
 )
 SECOND_CLOCK = "late, or of a second clock"
 STEPPED_BACK = "stamps before the last one, after the clock was corrected"
+# And why something is passed over.
+OTHER_SENSOR = "of another sensor than the first"
+NO_FIX = "without a usable GPS fix, or far from the team's origin"
 
 
 class Telemetry:
@@ -267,6 +270,7 @@ class Telemetry:
         source = IMU_MESSAGES[RANKS[m.get_msgId()]]
         # HIGHRES_IMU and RAW_IMU may come from several sensors by turns: the first is the one in use.
         if source.numbered and m.id:
+            self.gyro.pass_over(OTHER_SENSOR)
             return
         step, stamp = self.stamps.step(t, m, source.stamp(m), source.wrap_s)
         self._take_rates(t, m, step, stamp)
@@ -276,7 +280,11 @@ class Telemetry:
         rank = RANKS[m.get_msgId()]
         if step is None and rank == self._imu_rank and stamp == self.cadence.newest:
             self.cadence.observe(stamp)
-        if step is None or not self._is_source(t, rank, step):
+        if step is None:
+            return
+        if not self._is_source(t, rank, step):
+            if m.get_msgId() not in ATTITUDE_MESSAGES:
+                self.gyro.pass_over(f"{IMU_MESSAGES[rank].name}: a better message is used")
             return
         if step is StampStep.OTHER:
             self.gyro.throw(SECOND_CLOCK)
@@ -332,10 +340,14 @@ class Telemetry:
     def _on_global_position(self, t: float, m: Any) -> None:
         assert self._gps is not None
         stamp = self._position_stamp(t, m)
-        place = None if stamp is None else self._gps.place(t, m)
-        if stamp is not None and place is not None:
-            self.positions.used += 1
-            self._position, self._placed_at = (stamp, *place), t
+        if stamp is None:
+            return
+        place = self._gps.place(t, m)
+        if place is None:
+            self.positions.pass_over(NO_FIX)
+            return
+        self.positions.used += 1
+        self._position, self._placed_at = (stamp, *place), t
 
     def _on_local_position(self, t: float, m: Any) -> None:
         stamp = self._position_stamp(t, m)
@@ -368,7 +380,9 @@ class Telemetry:
     def _on_euler_angles(self, t: float, m: Any) -> None:
         step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
         self._take_rates(t, m, step, stamp)
-        if t - self._quaternion_at > QUATERNION_PREFERRED_S and self._is_next_pose(step):
+        if t - self._quaternion_at <= QUATERNION_PREFERRED_S:
+            self.attitudes.pass_over("ATTITUDE: a better message is used")
+        elif self._is_next_pose(step):
             angles = m.roll, m.pitch, m.yaw
             self._take_attitude(t, stamp, from_euler(*angles) if all(map(math.isfinite, angles)) else None)
 
