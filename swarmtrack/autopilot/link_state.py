@@ -113,7 +113,9 @@ class LinkState:
         contact, apart = self.contact, self.telemetry.second_clock
         if contact.vehicle is not None and now - contact.shared_at < CANDIDATE_GONE_S:
             return f"a {vehicle_name(contact.vehicle)} and a {contact.changeling}"
-        return "" if apart is None else f"their clocks are {abs(apart):.3g} s apart"
+        if apart is not None:
+            return f"their clocks are {abs(apart):.3g} s apart"
+        return self.telemetry.senders.contradiction(now)
 
     def _fault(self, now: float) -> tuple[str, str, str] | None:
         """(name, text, trouble for a pilot) of what streams and is of no use; None where all is well."""

@@ -44,12 +44,14 @@ from swarmtrack.autopilot.limits import (
     MAVLINK_1_AFTER_S,
     NAMED_SOURCES,
     PILOT_SWITCH_HZ,
+    STATE_ORDER_S,
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
 from swarmtrack.autopilot.links import Link, LinkDown, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
+from swarmtrack.autopilot.senders import flight_states_apart
 from swarmtrack.autopilot.signing import Codec, read_key
 from swarmtrack.autopilot.streams import GLOBAL_POSE, LOCAL_POSE, Answer, StreamRequests
 from swarmtrack.autopilot.telemetry import Telemetry
@@ -62,6 +64,8 @@ from swarmtrack.sources import AutopilotListener
 log = logging.getLogger(__name__)
 
 HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
+# Messages whose newest one alone is true.
+STATES = frozenset({HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
 
 
 def _check(imu_rate_hz: float, system_id: int | None) -> None:
@@ -179,6 +183,8 @@ class MavlinkAutopilot:
         self._met_at = math.inf
         """When our autopilot was chosen."""
         self._greeted = False
+        self._states_at: dict[int, float] = {}
+        """When the newest of STATES were sent."""
 
     @property
     def _reads_channels(self) -> bool:
@@ -449,21 +455,32 @@ class MavlinkAutopilot:
         if frame.data[0] == V2:
             contact.version_2_at = t
         self._account.add(t, frame.id)
+        self._telemetry.senders.on_frame(frame.sequence)
         reader = self._readers.get(frame.id)
         if reader is None:
             # Not worth decoding; but with a key, what was not verified proves nobody's presence.
             return not self._codec.has_key
         if message is None:
             return False
-        if frame.id not in self._telemetry.stamped and self._telemetry.stamps.is_copy(
-            t, frame.id, frame.data
-        ):
+        if frame.id not in self._telemetry.stamped and self._is_late(t, frame.id, message):
             return False
         contact.heard_at = t
         contact.signature_trouble = ""
         self._requests.arrived(frame.id)
         reader(t, message)
         return True
+
+    def _is_late(self, t: float, message_id: int, message: Any) -> bool:
+        """Whether a message without a stamp is a copy, or tells of a state before the one that is known."""
+        telemetry = self._telemetry
+        if telemetry.stamps.is_copy(t, message):
+            return True
+        if message_id in STATES:
+            sent = t - telemetry.senders.delay
+            if sent < self._states_at.get(message_id, -math.inf) - STATE_ORDER_S:
+                return True
+            self._states_at[message_id] = sent
+        return False
 
     def _decode(self, frame: MavlinkFrame) -> Any | None:
         message = self._codec.decode(frame)
@@ -534,6 +551,8 @@ class MavlinkAutopilot:
     def _on_heartbeat(self, t: float, m: Any) -> None:
         """Each tells that the autopilot is there, and whether the drone flies."""
         self._look_for_changeling(t, m)
+        said = m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status
+        self._telemetry.senders.compare(t, HEARTBEAT, said, flight_states_apart)
         state = self._flight.on_heartbeat(t, m)
         self._telemetry.listener.on_flight_state(state)
         if self._engagement is not None:

@@ -38,6 +38,13 @@ from swarmtrack.autopilot.limits import (
     TIMESYNC_PERIOD_S,
 )
 from swarmtrack.autopilot.links import Link
+from swarmtrack.autopilot.senders import (
+    SenderWatch,
+    StampedAttitude,
+    StampedPlace,
+    attitudes_apart,
+    places_apart,
+)
 from swarmtrack.autopilot.stamps import AutopilotStamps
 from swarmtrack.autopilot.streams import (
     ATTITUDE,
@@ -63,6 +70,7 @@ from swarmtrack.sources import AutopilotListener
 
 DOWNWARD = common.MAV_SENSOR_ROTATION_PITCH_270
 INVALID_SIGNAL = 1  # of a DISTANCE_SENSOR's quality; 0 is one that tells none
+NEW_STAMPS = (StampStep.NEXT, StampStep.REBOOT, StampStep.REPLACED)
 RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
 
 # Why something is thrown away.
@@ -112,7 +120,8 @@ class Telemetry:
         """Of the gyro's stamps."""
         self._pose_map = ClockMap()
         self._other_stamps = 0
-        self.stamps = AutopilotStamps(wrapped=self._wrapped, begun_again=self._begin_again)
+        self.senders = SenderWatch()
+        self.stamps = AutopilotStamps(self.senders, wrapped=self._wrapped, begun_again=self._begin_again)
         self.second_clock: float | None = None
         """How far apart [s] the clock is of a second autopilot that speaks under the same ID; None: there is none."""
         self._copies_before = 0
@@ -136,7 +145,7 @@ class Telemetry:
         self._window_count = 0
 
         self._pose_at = self._quaternion_at = self._placed_at = -math.inf
-        self._position: tuple[float, Array, Array] | None = None
+        self._position: StampedPlace | None = None
         self._below: tuple[float, float] | None = None
 
     def _make_readers(self) -> dict[int, Callable[[float, Any], None]]:
@@ -174,7 +183,7 @@ class Telemetry:
         """Arrival of the newest position, and the position itself, NED [m], from the autopilot or its GPS."""
         if self._position is None:
             return None
-        north, east, down = self._position[1].tolist()
+        north, east, down = self._position.position.tolist()
         return self._placed_at, (north, east, down)
 
     def lack(self, now: float) -> str:
@@ -331,53 +340,63 @@ class Telemetry:
 
     def _on_global_position(self, t: float, m: Any) -> None:
         assert self._gps is not None
-        stamp = self._position_stamp(t, m)
-        place = None if stamp is None else self._gps.place(t, m)
-        if stamp is not None and place is not None:
-            self.positions.used += 1
-            self._position, self._placed_at = (stamp, *place), t
+        step, stamp = self._position_step(t, m)
+        place = None if step in (None, StampStep.OTHER) else self._gps.place(t, m)
+        if place is not None:
+            self._take_place(t, step, StampedPlace(stamp, *place))
 
     def _on_local_position(self, t: float, m: Any) -> None:
-        stamp = self._position_stamp(t, m)
-        if stamp is None:
-            return
+        step, stamp = self._position_step(t, m)
         position, velocity = (m.x, m.y, m.z), (m.vx, m.vy, m.vz)
-        if not all(
-            abs(number) < DIVERGED_LOCAL_POSE for number in position + velocity
-        ):  # NaN compares as False
+        if all(abs(number) < DIVERGED_LOCAL_POSE for number in position + velocity):  # NaN compares as False
+            self._take_place(t, step, StampedPlace(stamp, np.array(position), np.array(velocity)))
+        elif step in NEW_STAMPS:
             self.positions.throw(IMPOSSIBLE)
-            return
-        self.positions.used += 1
-        self._position, self._placed_at = (stamp, np.array(position), np.array(velocity)), t
 
-    def _position_stamp(self, t: float, m: Any) -> float | None:
-        """None where it is not to be used."""
+    def _position_step(self, t: float, m: Any) -> tuple[StampStep | None, float]:
         step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
-        if step is StampStep.OTHER:
-            self.positions.throw(SECOND_CLOCK)
-        return None if step in (None, StampStep.OTHER) else stamp
+        self._throw_old(self.positions, step)
+        return step, stamp
+
+    def _take_place(self, t: float, step: StampStep | None, place: StampedPlace) -> None:
+        if step not in (None, StampStep.OTHER):
+            self.senders.compare(t, places_apart, place, places_apart)
+        if step in NEW_STAMPS:
+            self.positions.used += 1
+            self._position, self._placed_at = place, t
 
     def _on_quaternion(self, t: float, m: Any) -> None:
-        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
-        self._take_rates(t, m, step, stamp)
-        if self._is_next_pose(step):
+        q = np.array((m.q1, m.q2, m.q3, m.q4))
+        attitude = from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None
+        step, stamp = self._attitude_step(t, m, attitude)
+        if step in NEW_STAMPS:
             self._quaternion_at = t
-            q = np.array((m.q1, m.q2, m.q3, m.q4))
-            self._take_attitude(t, stamp, from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None)
+            self._take_attitude(t, stamp, attitude)
 
     def _on_euler_angles(self, t: float, m: Any) -> None:
+        angles = m.roll, m.pitch, m.yaw
+        attitude = from_euler(*angles) if all(map(math.isfinite, angles)) else None
+        step, stamp = self._attitude_step(t, m, attitude)
+        if t - self._quaternion_at > QUATERNION_PREFERRED_S and step in NEW_STAMPS:
+            self._take_attitude(t, stamp, attitude)
+
+    def _attitude_step(self, t: float, m: Any, attitude: Array | None) -> tuple[StampStep | None, float]:
+        """What its stamp is, see `AutopilotStamps.step`; its rates are taken."""
+        message_id = m.get_msgId()
         step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
         self._take_rates(t, m, step, stamp)
-        if t - self._quaternion_at > QUATERNION_PREFERRED_S and self._is_next_pose(step):
-            angles = m.roll, m.pitch, m.yaw
-            self._take_attitude(t, stamp, from_euler(*angles) if all(map(math.isfinite, angles)) else None)
+        if attitude is not None and step not in (None, StampStep.OTHER):
+            subject = attitudes_apart, message_id
+            self.senders.compare(t, subject, StampedAttitude(stamp, attitude), attitudes_apart)
+        if message_id == ATTITUDE_QUATERNION or t - self._quaternion_at > QUATERNION_PREFERRED_S:
+            self._throw_old(self.attitudes, step)
+        return step, stamp
 
-    def _is_next_pose(self, step: StampStep | None) -> bool:
+    def _throw_old(self, intake: Intake, step: StampStep | None) -> None:
         if step is StampStep.OTHER:
-            self.attitudes.throw(SECOND_CLOCK)
+            intake.throw(SECOND_CLOCK)
         elif step is StampStep.SAME:
-            self.attitudes.throw(STANDING_CLOCK)
-        return step in (StampStep.NEXT, StampStep.REBOOT, StampStep.REPLACED)
+            intake.throw(STANDING_CLOCK)
 
     def _take_attitude(self, t: float, stamp: float, attitude: Array | None) -> None:
         """attitude: (3, 3) world_from_body; None: none that is possible."""
@@ -391,7 +410,7 @@ class Telemetry:
             self.attitudes.throw(OTHER_CLOCK)
             return
         ours = clock_map.to_ours(stamp)
-        if self._position is None or abs(stamp - self._position[0]) > LOCAL_POSITION_AGE_S:
+        if self._position is None or abs(stamp - self._position.stamp) > LOCAL_POSITION_AGE_S:
             self._poses_without_position += 1
             where = None
         else:

@@ -16,12 +16,13 @@ from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, FakePx4
 from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidates
 from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
 from swarmtrack.lab.autopilots.firmware import ModeNumbers
-from swarmtrack.lab.autopilots.senses import GpsFix
+from swarmtrack.lab.autopilots.senses import GpsFix, SensedState
 
 ATTITUDE_QUATERNION: int = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 ORIGIN = Geodetic.from_degrees(-35.363262, 149.165237, 584.0)
@@ -56,6 +57,35 @@ class TwoWays(Heard):
         self._second.extend((now + self._late, data) for data in sent if self._random.random() < self._share)
         while self._second and self._second[0][0] <= now:
             yield self._second.popleft()[1]
+
+
+class LossyWays(TwoWays):
+    """Two ways that lose a share of all frames each; of the second one they come in MAVLink 1."""
+
+    def __init__(self, autopilot: Any, late: float, lost: float) -> None:
+        super().__init__(autopilot, late, 1.0 - lost)
+        self._lost = lost
+        self.is_off = False
+
+    def brings(self, now: float, sent: list[bytes]) -> Iterator[bytes]:
+        framer = Framer()
+        frames = [frame.data for data in sent for frame in framer.datagram(data) if not self.is_off]
+        self._second.extend(
+            (now + self._late, as_version_1(message))
+            for frame in frames
+            if self._random.random() >= self._lost
+            for message in self.autopilot.parse(frame)
+        )
+        yield from (frame for frame in frames if self._random.random() >= self._lost)
+        while self._second and self._second[0][0] <= now:
+            yield self._second.popleft()[1]
+
+
+class Deaf(Heard):
+    """An autopilot to which nothing gets."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Nothing is heard."""
 
 
 class Silent(Heard):
@@ -115,6 +145,38 @@ async def test_a_late_copy_of_a_heartbeat_does_not_engage_a_drone_that_its_pilot
     assert stages[-40:] == 40 * [False]
 
 
+@pytest.mark.parametrize("lost", [0.1, 0.4])
+@pytest.mark.parametrize("late", [0.004, 0.2, 1.3])
+async def test_two_ways_that_lose_frames_are_one_autopilot(late, lost):
+    autopilot = FakeAutopilot(boot_at=60.0)
+    engagement = PilotEngagement()
+    async with Flight(LossyWays(autopilot, late, lost), engagement=engagement) as flight:
+        pilot = autopilot.pilot
+        pilot.armed, pilot.status = True, common.MAV_STATE_ACTIVE
+        for mode in (5, 4):
+            pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+            flight.fly(8.0)
+        assert engagement.engaged
+        assert flight.unit.status().ok
+        assert flight.listener.reboots == 0
+        assert flight.count["copies"] > 200
+
+
+async def test_a_reboot_is_one_by_two_ways_that_lose_frames():
+    autopilot = FakeAutopilot(boot_at=60.0)
+    ways = LossyWays(autopilot, 1.3, 0.2)
+    async with Flight(ways) as flight:
+        flight.fly(8.0)
+        ways.is_off = True
+        flight.fly(2.0)
+        ways.is_off = False
+        autopilot.reboot(flight.clock.now())
+        for _ in range(8):
+            flight.fly(1.0)
+            assert "two autopilots" not in flight.text
+        assert flight.listener.reboots == 1
+
+
 # --- two under one ID --------------------------------------------------------------------------------
 
 
@@ -166,6 +228,91 @@ async def test_another_vehicle_of_our_id_ends_the_engagement():
             engagement.tick(flight.clock.now())
         assert not engagement.engaged
         assert engagement.take_end() == "two autopilots send as system 1"
+
+
+class Circling(FakeAutopilot):
+    """Flies a circle of 20 m at 10 m/s, and begins to count its frames anywhere."""
+
+    def __init__(self, number: int = 0) -> None:
+        super().__init__(boot_at=60.0)
+        self.channels[0].mav.seq = number
+
+    def at(self, t: float) -> SensedState:
+        angle = 0.5 * t
+        east, north = math.sin(angle), math.cos(angle)
+        return (
+            super()
+            .at(t)
+            ._replace(
+                q=np.array((math.cos(0.5 * angle), 0.0, 0.0, math.sin(0.5 * angle))),
+                position=np.array((20.0 * north, 20.0 * east, -5.0)),
+                velocity=np.array((-10.0 * east, 10.0 * north, 0.0)),
+            )
+        )
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.0025])
+async def test_two_vehicles_of_one_id_whose_clocks_agree_are_told_apart_by_their_places(apart):
+    """As two simulations that were started together."""
+    ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=60.0 - apart)
+    other.position = np.array((51.0, 2.0, -3.0))
+    other.channels[0].mav.seq = 100
+    async with Flight(ours, other, engagement=PilotEngagement()) as flight:
+        flight.fly(6.0)
+        assert (
+            ": faulty: two autopilots send as system 1 component 1, their places are 50 m apart: "
+            in flight.text
+        )
+
+
+async def test_a_second_vehicle_of_our_id_is_told_apart_by_its_heartbeats_alone():
+    ours = FakeAutopilot(boot_at=60.0)
+    engagement = PilotEngagement()
+    async with Flight(ours, Silent(1, common.MAV_TYPE_QUADROTOR), engagement=engagement) as flight:
+        ours.pilot.armed, ours.pilot.status = True, common.MAV_STATE_ACTIVE
+        flight.fly(8.0)
+        assert "two autopilots send as system 1 component 1, their flight states differ: " in flight.text
+
+
+async def test_a_slow_second_vehicle_of_our_id_is_told_apart_by_its_clock():
+    ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=-440.0)
+    async with Flight(ours) as flight:
+        flight.fly(4.0)
+        other.set_interval(ATTITUDE_QUATERNION, 250_000, flight.clock.now())
+        flight.autopilots = (ours, Deaf(other))
+        flight.fly(6.0)
+        assert "two autopilots send as system 1 component 1, their clocks are 500 s apart: " in flight.text
+
+
+async def test_two_ports_of_one_autopilot_are_one():
+    """Each has its own sequence numbers and heartbeats."""
+    ports = Circling(), Circling(number=77)
+    async with Flight(*ports) as flight:
+        for mode in (5, 4, 5):
+            for port in ports:
+                port.pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+                # A port that is slow sends the old mode for a while.
+                flight.fly(2.5)
+                assert flight.unit.status().ok
+            flight.fly(3.0)
+            assert flight.unit.status().ok
+
+
+async def test_frames_that_are_lost_and_change_places_are_one_autopilot_s():
+    class Router(Heard):
+        """Loses every fifth frame and, now and then, a tenth of a second; changes the order of neighbours."""
+
+        def brings(self, now: float, sent: list[bytes]) -> Iterator[bytes]:
+            framer = Framer()
+            frames = [frame.data for data in sent for frame in framer.datagram(data)]
+            kept = [data for data in frames if chance.random() > 0.2 and now % 1.7 > 0.1]
+            yield from reversed(kept)
+
+    chance = random.Random(7)
+    async with Flight(Router(Circling())) as flight:
+        for _ in range(30):
+            flight.fly(1.0)
+            assert "two autopilots" not in flight.text
 
 
 async def test_two_kinds_of_vehicle_of_one_id_are_told_apart_by_their_heartbeats():
@@ -480,9 +627,9 @@ class HearsVersion1(Heard):
 
 
 def as_version_1(message: Any) -> bytes:
-    message.pack(
-        common.MAVLink(None, message.get_srcSystem(), message.get_srcComponent()), force_mavlink1=True
-    )
+    mav = common.MAVLink(None, message.get_srcSystem(), message.get_srcComponent())
+    mav.seq = message.get_seq()
+    message.pack(mav, force_mavlink1=True)
     return bytes(message.get_msgbuf())
 
 
