@@ -104,9 +104,15 @@ class LinkState:
             return State.STALE
         return State.NO_POSE if telemetry.has_no_pose(now) else State.STREAMING
 
-    def is_shared(self, now: float) -> bool:
-        """Whether two autopilots send under the ID of ours."""
-        return self._sharing(now) != ""
+    def contest(self, now: float) -> str:
+        """Why ours may not be the only autopilot that is flown, in a few words; empty where it is."""
+        contact = self.contact
+        if contact.system is None:
+            return ""
+        if self._sharing(now):
+            return f"two autopilots send as system {contact.system}"
+        rivals = contact.candidates.rivals(contact.address, now)
+        return f"two autopilots send, {contact.address} and {rivals[0].address}" if rivals else ""
 
     def _sharing(self, now: float) -> str:
         """By what two autopilots under our ID are told apart, in words; empty where there is one."""

@@ -274,8 +274,8 @@ class MavlinkAutopilot:
                 self._link.drop(f"silent for {TCP_SILENT_S:g} s")
         self._telemetry.measure(now)
         self._link_state.update(now)
-        if self._engagement is not None and self._link_state.is_shared(now):
-            self._engagement.fail(f"two autopilots send as system {self.system}")
+        if self._engagement is not None and (contest := self._link_state.contest(now)):
+            self._engagement.fail(contest)
 
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:

@@ -208,26 +208,46 @@ async def test_two_vehicles_of_one_id_are_said_and_the_first_one_s_clock_is_kept
         assert flight.unit.status().ok
 
 
+def engage(flight: Flight, engagement: PilotEngagement, *autopilots: FakeAutopilot) -> None:
+    for autopilot in autopilots:
+        autopilot.pilot.armed, autopilot.pilot.status = True, common.MAV_STATE_ACTIVE
+    for mode in (5, 4):
+        for autopilot in autopilots:
+            autopilot.pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+        tick(flight, engagement, 3.0)
+    assert engagement.engaged
+
+
+def tick(flight: Flight, engagement: PilotEngagement, seconds: float) -> None:
+    for _ in range(round(10 * seconds)):
+        flight.fly(0.1)
+        engagement.tick(flight.clock.now())
+
+
 async def test_another_vehicle_of_our_id_ends_the_engagement():
     ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=20.0)
     engagement = PilotEngagement()
     async with Flight(ours, engagement=engagement) as flight:
-        for autopilot in (ours, other):
-            autopilot.pilot.armed, autopilot.pilot.status = True, common.MAV_STATE_ACTIVE
-        for mode in (5, 4):
-            for autopilot in (ours, other):
-                autopilot.pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
-            for _ in range(30):
-                flight.fly(0.1)
-                engagement.tick(flight.clock.now())
-        assert engagement.engaged
+        engage(flight, engagement, ours, other)
         other.set_interval(ATTITUDE_QUATERNION, 20_000, flight.clock.now())
         flight.autopilots = (ours, other)
-        for _ in range(60):
-            flight.fly(0.1)
-            engagement.tick(flight.clock.now())
+        tick(flight, engagement, 6.0)
         assert not engagement.engaged
         assert engagement.take_end() == "two autopilots send as system 1"
+
+
+@pytest.mark.parametrize(("kind", "system_id"), [("quadrotor", None), ("quadrotor", 1), ("tracker", None)])
+async def test_another_vehicle_that_comes_later_ends_the_engagement(kind, system_id):
+    """For the first may have been a neighbour's."""
+    ours, rival = FakeAutopilot(boot_at=60.0), Silent(2, QUADROTOR if kind == "quadrotor" else TRACKER)
+    engagement = PilotEngagement()
+    async with Flight(ours, engagement=engagement, system_id=system_id) as flight:
+        engage(flight, engagement, ours)
+        flight.autopilots = (ours, rival)
+        tick(flight, engagement, 3.0)
+        is_rival = kind == "quadrotor" and system_id is None
+        assert engagement.engaged != is_rival
+        assert engagement.take_end() == ("two autopilots send, 1/1 and 2/1" if is_rival else "")
 
 
 class Circling(FakeAutopilot):
