@@ -41,6 +41,8 @@ ULOG_LARGEST_DEFINITION, ULOG_MOST_DAMAGED_BYTES = 10_000, 10_000
 # The rest of a frame would have come, so its header was false. A slow radio sends a few times per second.
 FRAME_FLUSH_AFTER_S = 0.3
 
+# Datagrams with heartbeats of other senders than the autopilot's: more are not looked at.
+OVERHEARD_HZ = 20
 # Contact (`mavlink_autopilot`, `link_state`, `contact`): also what makes routers learn us.
 AGENT_HEARTBEAT_PERIOD_S = 1.0
 LINK_TICK_S = 0.05

@@ -34,6 +34,7 @@ from swarmtrack.autopilot.streams import StreamRequests
 from swarmtrack.autopilot.telemetry import Telemetry
 from swarmtrack.messages import LinkStatus
 
+SET_OWN_ID = "give each vehicle an ID of its own (ArduPilot SYSID_THISMAV or MAV_SYSID, PX4 MAV_SYS_ID)"
 SET_SYSTEM = "set autopilot.system_id to that of this drone"
 
 
@@ -129,7 +130,7 @@ class LinkState:
         if sharing := self._sharing(now):
             text = (
                 f"two autopilots send as system {contact.system} component {contact.component}, {sharing}: "
-                "give each vehicle an ID of its own (ArduPilot SYSID_THISMAV or MAV_SYSID, PX4 MAV_SYS_ID)"
+                f"{SET_OWN_ID}"
             )
             return "shared", text, "no single autopilot"
         if rivals := contact.candidates.rivals(contact.address, now):
@@ -199,6 +200,9 @@ class LinkState:
             names = " and ".join(map(str, ambiguous))
             number = "two" if len(ambiguous) == 2 else len(ambiguous)
             return "ambiguous", f"{number} autopilots send, {names}: {SET_SYSTEM}"
+        if contact.twins:
+            ports = " and ".join(f"{host} port {port}" for host, port, *_ in contact.twins)
+            return "twins", f"two autopilots send under one ID, from {ports}: {SET_OWN_ID}"
         others = ", ".join(f"{at} {what}".strip() for at, what in contact.others.items())
         expected = "" if contact.expected_system is None else f" of system {contact.expected_system}"
         return (

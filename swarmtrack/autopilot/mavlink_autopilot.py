@@ -10,8 +10,10 @@ reports the link's state and why nothing comes.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import math
+import re
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -43,6 +45,7 @@ from swarmtrack.autopilot.limits import (
     LONGEST_RETRY_S,
     MAVLINK_1_AFTER_S,
     NAMED_SOURCES,
+    OVERHEARD_HZ,
     PILOT_SWITCH_HZ,
     STATE_ORDER_S,
     TCP_SILENT_S,
@@ -64,6 +67,8 @@ from swarmtrack.sources import AutopilotListener
 log = logging.getLogger(__name__)
 
 HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
+# MAVLink 2 and 1: length, flags, sequence, sender and message.
+HEARTBEAT_HEADER = re.compile(rb"\xfd\x09[\x00\x01]\x00...\x00\x00\x00|\xfe\x09...\x00", re.DOTALL)
 # Messages whose newest one alone is true.
 STATES = frozenset({HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
 
@@ -85,6 +90,11 @@ def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
     if mode:
         rates[CURRENT_MODE] = CURRENT_MODE_HZ
     return rates
+
+
+def _flight_state(m: Any) -> tuple[int, ...]:
+    """All that a heartbeat says."""
+    return m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status
 
 
 class WayToAutopilot(NamedTuple):
@@ -183,6 +193,8 @@ class MavlinkAutopilot:
         self._met_at = math.inf
         """When our autopilot was chosen."""
         self._greeted = False
+        self._overheard, self._overheard_since = 0, -math.inf
+        self._next_choice = -math.inf
         self._states_at: dict[int, float] = {}
         """When the newest of STATES were sent."""
 
@@ -417,6 +429,31 @@ class MavlinkAutopilot:
             self.tick(t)
         return ours
 
+    def overheard(self, t: float, data: bytes) -> None:
+        """Of what other senders send beside ours, only heartbeats are read: whether they are autopilots. With a key
+        none of them is verified, so none counts.
+        """
+        if self._codec.has_key or HEARTBEAT_HEADER.search(data) is None:
+            return
+        if t - self._overheard_since >= 1.0:
+            self._overheard_since, self._overheard = t, 0
+        self._overheard += 1
+        if self._overheard > OVERHEARD_HZ:
+            return
+        for frame in Framer().datagram(data):
+            if frame.id == HEARTBEAT and (message := self._codec.decode(frame)) is not None:
+                self._on_other_heartbeat(t, frame, message)
+
+    def _on_other_heartbeat(self, t: float, frame: MavlinkFrame, m: Any) -> None:
+        contact, senders = self._contact, self._telemetry.senders
+        address = AutopilotAddress(frame.system, frame.component)
+        if address != contact.address:
+            contact.candidates.on_heartbeat(t, address, m)
+            return
+        # A copy of ours agrees with it.
+        senders.on_frame(frame.sequence)
+        senders.compare(t, HEARTBEAT, _flight_state(m), flight_states_apart)
+
     def _take(self, t: float, frames: list[MavlinkFrame], sender: Address | None = None) -> bool:
         ours = False
         for frame in frames:
@@ -510,10 +547,14 @@ class MavlinkAutopilot:
         no other will be heard.
         """
         contact = self._contact
-        if contact.system is not None:
+        if contact.system is not None or now < self._next_choice:
             return False
         candidate = contact.candidates.choose(now, final=final)
         if candidate is None:
+            return False
+        contact.twins = self._twins(candidate.address, now)
+        if contact.twins:
+            self._next_choice = now + LINK_TICK_S
             return False
         self._meet(candidate, now)
         last = next((early for early in reversed(self._early) if early.address == contact.address), None)
@@ -524,6 +565,18 @@ class MavlinkAutopilot:
             early = self._early.popleft()
             ours |= self._on_frame(early.t, early.frame, early.message)
         return ours
+
+    def _twins(self, address: AutopilotAddress, now: float) -> tuple[Address, ...]:
+        """Senders of datagrams with frames of that address, if there are several that have no frame in common: what a
+        router sends twice is one autopilot's.
+        """
+        frames: dict[Address, set[bytes]] = {}
+        for early in self._early:
+            is_recent = now - early.t < CANDIDATE_GONE_S and early.message is not None
+            if early.address == address and early.sender is not None and is_recent:
+                frames.setdefault(early.sender, set()).add(early.frame.data)
+        apart = any(a.isdisjoint(b) for a, b in itertools.combinations(frames.values(), 2))
+        return tuple(frames) if apart else ()
 
     def _meet(self, ours: AutopilotCandidate, now: float) -> None:
         contact = self._contact
@@ -551,8 +604,7 @@ class MavlinkAutopilot:
     def _on_heartbeat(self, t: float, m: Any) -> None:
         """Each tells that the autopilot is there, and whether the drone flies."""
         self._look_for_changeling(t, m)
-        said = m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status
-        self._telemetry.senders.compare(t, HEARTBEAT, said, flight_states_apart)
+        self._telemetry.senders.compare(t, HEARTBEAT, _flight_state(m), flight_states_apart)
         state = self._flight.on_heartbeat(t, m)
         self._telemetry.listener.on_flight_state(state)
         if self._engagement is not None:

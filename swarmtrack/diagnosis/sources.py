@@ -44,7 +44,7 @@ CAMERA_TROUBLES = (
     ("camera.silent", r"waiting for the first frame|no frame for|no frame yet|nothing for|not opened yet"),
 )
 AUTOPILOT_TROUBLES = (
-    ("autopilot.shared", r"two autopilots send as system"),
+    ("autopilot.shared", r"two autopilots send (as system|under one ID)"),
     ("autopilot.second", r"autopilots send, "),
     ("autopilot.too_slow", r"the gyro is too slow"),
     ("autopilot.thrown_away", r": faulty: "),

@@ -451,6 +451,67 @@ async def test_a_second_vehicle_that_comes_later_is_said_and_the_first_one_kept(
         assert len(flight.listener.imu) - before == pytest.approx(200, abs=3)
 
 
+async def test_a_neighbour_that_was_first_at_a_udp_port_is_contested_by_ours():
+    """The socket does not read what other addresses send, but heartbeats."""
+    neighbour, ours = FakeAutopilot(system=2, boot_at=60.0), Silent(1, QUADROTOR)
+    async with Flight(neighbour) as flight:
+        flight.fly(4.0)
+        assert flight.unit.status().ok
+        for _ in range(3):
+            flight.fly(1.0)
+            for data in ours.step(flight.clock.now()):
+                flight.unit.overheard(flight.clock.now(), data)
+        assert "two autopilots send, 2/1 is used and 1/1 (quadrotor) came later" in flight.text
+
+
+@pytest.mark.parametrize("same_state", [True, False])
+async def test_heartbeats_of_our_id_from_another_port_are_a_second_autopilot_s_where_they_contradict(
+    same_state,
+):
+    ours = FakeAutopilot(boot_at=60.0)
+    copy = FakeAutopilot(boot_at=60.0)
+    copy.pilot.armed = ours.pilot.armed == same_state
+    async with Flight(ours) as flight:
+        flight.fly(4.0)
+        for _ in range(7000):
+            flight.fly(0.001)
+            for data in copy.step(flight.clock.now()):
+                flight.unit.overheard(flight.clock.now(), data)
+        assert ("their flight states differ" in flight.text) != same_state
+
+
+async def test_overheard_senders_cost_little_and_never_feed_data():
+    async with Flight(FakeAutopilot(boot_at=60.0)) as flight:
+        flight.fly(3.0)
+        beats = [FakeAutopilot(system=2 + n % 250) for n in range(500)]
+        flood = [next(iter(beat.step(flight.clock.now()))) for beat in beats]
+        samples = len(flight.listener.imu)
+        for data in flood:
+            flight.unit.overheard(flight.clock.now(), data)
+        assert len(flight.listener.imu) == samples
+        assert flight.unit._overheard == 500
+        assert flight.text.count("/1 (quadrotor)") <= 20
+
+
+@pytest.mark.parametrize("other", ["twin", "second way"])
+async def test_two_ports_that_send_as_one_autopilot_are_not_chosen_between(other):
+    ours, twin = Circling(), Circling(number=77)
+    async with Flight() as flight:
+        for _ in range(4000):
+            flight.fly(0.001)
+            now = flight.clock.now()
+            sent = ours.step(now)
+            for port, frames in ((5001, sent), (5002, twin.step(now) if other == "twin" else sent)):
+                for data in frames:
+                    flight.unit.received(now, data, ("10.0.0.1", port))
+        assert bool(flight.unit.system) != (other == "twin")
+        if other == "twin":
+            ports = "from 10.0.0.1 port 5001 and 10.0.0.1 port 5002: give each vehicle an ID of its own"
+            assert f"two autopilots send under one ID, {ports}" in flight.text
+            (finding,) = check_autopilot(AutopilotFacts(8.0, status=flight.unit.status()))
+            assert finding.remedy.startswith("set another ID in one of them")
+
+
 async def test_an_autopilot_that_is_not_component_1_is_asked_by_its_own():
     autopilot = FakeAutopilot(component=42, boot_at=60.0)
     async with Flight(autopilot) as flight:
