@@ -567,15 +567,16 @@ class MavlinkAutopilot:
         return ours
 
     def _twins(self, address: AutopilotAddress, now: float) -> tuple[Address, ...]:
-        """Senders of datagrams with frames of that address, if there are several that have no frame in common: what a
-        router sends twice is one autopilot's.
+        """Senders of datagrams with frames of that address, if two of them have less than half of their frames in
+        common: what a router sends twice is one autopilot's.
         """
         frames: dict[Address, set[bytes]] = {}
         for early in self._early:
             is_recent = now - early.t < CANDIDATE_GONE_S and early.message is not None
             if early.address == address and early.sender is not None and is_recent:
                 frames.setdefault(early.sender, set()).add(early.frame.data)
-        apart = any(a.isdisjoint(b) for a, b in itertools.combinations(frames.values(), 2))
+        pairs = itertools.combinations(frames.values(), 2)
+        apart = any(2 * len(one & other) < min(len(one), len(other)) for one, other in pairs)
         return tuple(frames) if apart else ()
 
     def _meet(self, ours: AutopilotCandidate, now: float) -> None:

@@ -495,7 +495,7 @@ async def test_overheard_senders_cost_little_and_never_feed_data():
 
 @pytest.mark.parametrize("other", ["twin", "second way"])
 async def test_two_ports_that_send_as_one_autopilot_are_not_chosen_between(other):
-    ours, twin = Circling(), Circling(number=77)
+    ours, twin = FakePx4(boot_at=60.0), FakePx4(boot_at=90.0)
     async with Flight() as flight:
         for _ in range(4000):
             flight.fly(0.001)
