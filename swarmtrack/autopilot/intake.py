@@ -21,8 +21,8 @@ class Intake:
         self._used_before = 0
         self._thrown_before: Counter[str] = Counter()
 
-    def throw(self, why: str) -> None:
-        self.thrown[why] += 1
+    def throw(self, why: str, count: int = 1) -> None:
+        self.thrown[why] += count
 
     def judge(self) -> None:
         """A window has ended."""

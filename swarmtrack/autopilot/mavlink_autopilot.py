@@ -171,6 +171,7 @@ class MavlinkAutopilot:
             self._requests,
             self._contact,
             self._news,
+            framer=self._framer,
             gps=gps,
             send=self._send,
             gyro_delays=self._gyro_delays,

@@ -58,9 +58,13 @@ class _Turn(NamedTuple):
 
 
 class SenderWatch:
-    """Counts of the frames under our autopilot's ID, and whether they contradict each other. All times are ours [s]."""
+    """Counts of the frames under our autopilot's ID, and whether they contradict each other. All times are ours [s].
+
+    came, lost: frames, since the start; a longer gap than SEQUENCE_LOSS is taken for another count and not in it.
+    """
 
     def __init__(self) -> None:
+        self.came = self.lost = 0
         self._counts: list[FrameCount] = []
         """Latest first."""
         self._turns: dict[Hashable, _Turn] = {}
@@ -69,6 +73,7 @@ class SenderWatch:
 
     def on_frame(self, number: int) -> None:
         """A frame of that number has come; what follows is about it."""
+        self.came += 1
         counts = self._counts
         if counts and (number - counts[0].number) % NUMBERS == 1:
             counts[0].number = number
@@ -77,6 +82,7 @@ class SenderWatch:
         best = min(range(len(counts)), key=lambda k: (ahead[k] or NUMBERS, k), default=None)
         if best is not None and 0 < ahead[best] <= SEQUENCE_LOSS:
             count = counts.pop(best)
+            self.lost += ahead[best] - 1
             count.number = number
         else:
             count = FrameCount(number)

@@ -586,6 +586,40 @@ async def test_where_more_is_thrown_away_than_used_the_link_is_not_ok_and_says_w
         assert finding.found.startswith("most of what the autopilot sends cannot be used: ")
 
 
+class Damaged(Heard):
+    """Spoils a share of all frames, and puts noise in front of others."""
+
+    def __init__(self, autopilot: Any, share: float, *, noise: bytes = b"", left_out: float = 0.0) -> None:
+        super().__init__(autopilot)
+        self._share, self._noise, self._left_out, self._random = share, noise, left_out, random.Random(3)
+
+    def brings(self, now: float, sent: list[bytes]) -> Iterator[bytes]:
+        framer = Framer()
+        for data in sent:
+            for frame in framer.datagram(data):
+                spoilt = bytearray(self._noise + frame.data)
+                if self._random.random() < self._share:
+                    spoilt[-1] ^= 0x55
+                if self._random.random() >= self._left_out:
+                    yield bytes(spoilt)
+
+
+@pytest.mark.parametrize(
+    ("link", "is_ok"),
+    [
+        ({"share": 0.65}, False),
+        ({"share": 0.2}, True),
+        ({"share": 0.0, "noise": 80 * b"\xfd"}, True),
+        ({"share": 0.0, "left_out": 0.65}, True),
+    ],
+)
+async def test_a_link_that_damages_most_frames_is_not_ok(link, is_ok):
+    async with Flight(Damaged(FakeAutopilot(boot_at=60.0), **link)) as flight:
+        flight.fly(14.0)
+        assert flight.unit.status().ok == is_ok
+        assert ("frames in 2 s thrown away: damaged on the way" in flight.text) != is_ok
+
+
 WITHOUT_ATTITUDE = tuple(
     n for n in SimulatedArduPilot.offers if n not in (ATTITUDE_QUATERNION, common.MAVLINK_MSG_ID_ATTITUDE)
 )
