@@ -61,6 +61,8 @@ from swarmtrack.autopilot.streams import (
     NOT_MEASURED,
     RAW_IMU,
     SCALED_IMU,
+    SCALED_IMU2,
+    SCALED_IMU3,
     Cadence,
     ImuMessage,
     StreamRequests,
@@ -149,6 +151,8 @@ class Telemetry:
         """Whether the gyro comes too seldom to be of use."""
         self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
         self._imu_rank: int | None = None
+        self._sensors: dict[int, dict[int, float]] = {}
+        """By message, when each number of a sensor was heard."""
         self._imu_t = self._imu_since = self._window_start = -math.inf
         self._window_count = 0
 
@@ -164,6 +168,8 @@ class Telemetry:
             HIGHRES_IMU: self._on_imu,
             RAW_IMU: self._on_imu,
             SCALED_IMU: self._on_imu,
+            SCALED_IMU2: self._on_imu,
+            SCALED_IMU3: self._on_imu,
             ATTITUDE_QUATERNION: self._on_quaternion,
             ATTITUDE: self._on_euler_angles,
             DISTANCE_SENSOR: self._on_distance,
@@ -295,11 +301,17 @@ class Telemetry:
 
     def _on_imu(self, t: float, m: Any) -> None:
         source = IMU_MESSAGES[RANKS[m.get_msgId()]]
-        # HIGHRES_IMU and RAW_IMU may come from several sensors by turns: the first is the one in use.
-        if source.numbered and m.id:
+        if source.numbered and not self._is_sensor(t, source.id, m.id):
             return
         step, stamp = self.stamps.step(t, m, source.stamp(m), source.wrap_s)
         self._take_rates(t, m, step, stamp)
+
+    def _is_sensor(self, t: float, message_id: int, number: int) -> bool:
+        """Whether this sensor is the first of those that HIGHRES_IMU or RAW_IMU comes from, by turns."""
+        heard = self._sensors.setdefault(message_id, {})
+        heard[number] = t
+        lower = max((at for other, at in heard.items() if other < number), default=self._contact.known_at)
+        return number == 0 or t - lower >= IMU_PREFERRED_S
 
     def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
         """step: of the stamp, None: a copy."""

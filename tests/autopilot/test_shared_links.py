@@ -690,6 +690,56 @@ async def test_both_attitudes_are_not_used_twice():
         assert len(flight.listener.poses) - before == pytest.approx(200, abs=3)
 
 
+class OtherSensors(FakeAutopilot):
+    """Of its first sensor nothing comes."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(boot_at=60.0)
+        self._kind = kind
+
+    def _report(self, message_id: int, stamp: float) -> Any:
+        report = super()._report(message_id, stamp)
+        if report is None or message_id not in (27, 26, 105):
+            return report
+        milli = [round(1e3 * rate) for rate in self.gyro]
+        match self._kind:
+            case "SCALED_IMU2" if message_id == 105:
+                return common.MAVLink_scaled_imu2_message(round(1e3 * stamp), 0, 0, -1000, *milli, 0, 0, 0)
+            case "SCALED_IMU3" if message_id == 105:
+                return common.MAVLink_scaled_imu3_message(round(1e3 * stamp), 0, 0, -1000, *milli, 0, 0, 0)
+            case "HIGHRES_IMU":
+                report.id = 1
+                return report
+        return None
+
+
+@pytest.mark.parametrize("kind", ["SCALED_IMU2", "SCALED_IMU3", "HIGHRES_IMU"])
+async def test_another_sensor_s_gyro_is_used_where_the_first_is_silent(kind):
+    autopilot = OtherSensors(kind)
+    async with Flight(autopilot) as flight:
+        # As SRn_RAW_SENS makes it come.
+        autopilot.set_interval(105, 5000, flight.clock.now())
+        flight.fly(9.0)
+        assert f"200 Hz got from {kind}" in flight.text
+        np.testing.assert_allclose(flight.listener.imu[-1].gyro, autopilot.gyro, atol=1e-3)
+
+
+async def test_of_several_sensors_by_turns_the_first_one_is_used():
+    class Both(FakeAutopilot):
+        def _report(self, message_id: int, stamp: float) -> Any:
+            report = super()._report(message_id, stamp)
+            if message_id == 105 and report is not None:
+                second = super()._report(message_id, stamp + 1e-3)
+                second.id, second.xgyro = 1, 2.0
+                self.channels[0].send(second)
+            return report
+
+    async with Flight(Both(boot_at=60.0)) as flight:
+        flight.fly(6.0)
+        assert flight.count["imu_samples"] == pytest.approx(200 * 4.8, abs=20)
+        assert max(sample.gyro[0] for sample in flight.listener.imu) < 1.0
+
+
 async def test_an_old_autopilot_s_group_of_attitudes_is_read():
     """REQUEST_DATA_STREAM brings ATTITUDE, and rates next to it."""
     autopilot = FakeAutopilot(understands_intervals=False, offered=(common.MAVLINK_MSG_ID_ATTITUDE,))
