@@ -17,7 +17,7 @@ import logging
 import math
 from dataclasses import dataclass
 
-from swarmtrack.autopilot.candidates import vehicle_name
+from swarmtrack.autopilot.candidates import vehicle_name, with_article
 from swarmtrack.autopilot.contact import OPENING, Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.limits import (
@@ -119,7 +119,7 @@ class LinkState:
         """By what two autopilots under our ID are told apart, in words; empty where there is one."""
         contact, apart = self.contact, self.telemetry.second_clock
         if contact.vehicle is not None and now - contact.shared_at < CANDIDATE_GONE_S:
-            return f"a {vehicle_name(contact.vehicle)} and a {contact.changeling}"
+            return f"{with_article(vehicle_name(contact.vehicle))} and {with_article(contact.changeling)}"
         if apart is not None:
             return f"their clocks are {abs(apart):.3g} s apart"
         return self.telemetry.senders.contradiction(now)

@@ -223,6 +223,8 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
         findings.append(fault("autopilot.strangers", count=foreign))
     if facts.live:
         findings += _check_clock(numbers, setting)
+    if findings and (beside := re.search(r"also on the link: .*", text)):
+        findings.append(ok("autopilot", beside[0]))
     return findings or [ok("autopilot", text)]
 
 

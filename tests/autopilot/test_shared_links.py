@@ -335,11 +335,15 @@ async def test_frames_that_are_lost_and_change_places_are_one_autopilot_s():
             assert "two autopilots" not in flight.text
 
 
-async def test_two_kinds_of_vehicle_of_one_id_are_told_apart_by_their_heartbeats():
-    plane = Silent(1, common.MAV_TYPE_FIXED_WING, after=3.0)
-    async with Flight(FakeAutopilot(boot_at=60.0), plane) as flight:
+@pytest.mark.parametrize(
+    ("kind", "named"),
+    [(common.MAV_TYPE_FIXED_WING, "a plane"), (common.MAV_TYPE_ANTENNA_TRACKER, "an antenna tracker")],
+)
+async def test_two_kinds_of_vehicle_of_one_id_are_told_apart_by_their_heartbeats(kind, named):
+    other = Silent(1, kind, after=3.0)
+    async with Flight(FakeAutopilot(boot_at=60.0), other) as flight:
         flight.fly(8.0)
-        assert "two autopilots send as system 1 component 1, a quadrotor and a plane: " in flight.text
+        assert f"two autopilots send as system 1 component 1, a quadrotor and {named}: " in flight.text
 
 
 # --- who is ours -------------------------------------------------------------------------------------
