@@ -32,7 +32,9 @@ from swarmtrack.messages import Array
 
 FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
 UNKNOWN_SATELLITES = 255  # satellites
-NO_FIX_TOLD = "no GPS_RAW_INT comes, which tells of the fix: let the autopilot send it (ArduPilot SRn_EXT_STAT, PX4 MAV_n_MODE)"
+NO_FIX_TOLD = (
+    "no GPS_RAW_INT comes, which tells of the fix: let the autopilot send it (ArduPilot SRn_EXT_STAT)"
+)
 
 
 class _Fix(NamedTuple):

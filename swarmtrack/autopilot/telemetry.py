@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.boot_clock import MILLISECONDS_WRAP_S, BootClock, StampStep
+from swarmtrack.autopilot.boot_clock import MICROSECONDS_WRAP_S, MILLISECONDS_WRAP_S, BootClock, StampStep
 from swarmtrack.autopilot.clock_map import ClockMap
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
@@ -59,6 +59,7 @@ from swarmtrack.autopilot.streams import (
     IMU_MESSAGES,
     LOCAL_POSITION_NED,
     NOT_MEASURED,
+    ODOMETRY,
     RAW_IMU,
     SCALED_IMU,
     SCALED_IMU2,
@@ -72,6 +73,7 @@ from swarmtrack.messages import Array, EgoPose, ImuSample
 from swarmtrack.sources import AutopilotListener
 
 DOWNWARD = common.MAV_SENSOR_ROTATION_PITCH_270
+BODY_FRAMES = (common.MAV_FRAME_BODY_NED, common.MAV_FRAME_BODY_FRD)
 INVALID_SIGNAL = 1  # of a DISTANCE_SENSOR's quality; 0 is one that tells none
 NEW_STAMPS = (StampStep.NEXT, StampStep.REBOOT, StampStep.REPLACED)
 RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
@@ -119,7 +121,7 @@ class Telemetry:
         self._name = str(link.address)
         self.listener: AutopilotListener
         self.stamped = frozenset(
-            {*RANKS, ATTITUDE_QUATERNION, ATTITUDE, LOCAL_POSITION_NED, GLOBAL_POSITION_INT}
+            {*RANKS, ATTITUDE_QUATERNION, ATTITUDE, ODOMETRY, LOCAL_POSITION_NED, GLOBAL_POSITION_INT}
         )
         self.readers = self._make_readers()
 
@@ -156,7 +158,8 @@ class Telemetry:
         self._imu_t = self._imu_since = self._window_start = -math.inf
         self._window_count = 0
 
-        self._pose_at = self._quaternion_at = self._placed_at = -math.inf
+        self._pose_at = self._placed_at = -math.inf
+        self._quaternion_at = self._euler_at = self._local_at = -math.inf
         self._position: StampedPlace | None = None
         self._below: tuple[float, float] | None = None
 
@@ -172,6 +175,7 @@ class Telemetry:
             SCALED_IMU3: self._on_imu,
             ATTITUDE_QUATERNION: self._on_quaternion,
             ATTITUDE: self._on_euler_angles,
+            ODOMETRY: self._on_odometry,
             DISTANCE_SENSOR: self._on_distance,
         }
         if self._gps is None:
@@ -380,9 +384,14 @@ class Telemetry:
 
     def _on_local_position(self, t: float, m: Any) -> None:
         step, stamp = self._position_step(t, m)
-        position, velocity = (m.x, m.y, m.z), (m.vx, m.vy, m.vz)
-        if all(abs(number) < DIVERGED_LOCAL_POSE for number in position + velocity):  # NaN compares as False
-            self._take_place(t, step, StampedPlace(stamp, np.array(position), np.array(velocity)))
+        self._local_at = t
+        place = StampedPlace(stamp, np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz)))
+        self._take_local_place(t, step, place)
+
+    def _take_local_place(self, t: float, step: StampStep | None, place: StampedPlace) -> None:
+        numbers = (*place.position.tolist(), *place.velocity.tolist())
+        if all(abs(number) < DIVERGED_LOCAL_POSE for number in numbers):  # NaN compares as False
+            self._take_place(t, step, place)
         elif step in NEW_STAMPS:
             self.positions.throw(IMPOSSIBLE)
 
@@ -399,8 +408,7 @@ class Telemetry:
             self._position, self._placed_at = place, t
 
     def _on_quaternion(self, t: float, m: Any) -> None:
-        q = np.array((m.q1, m.q2, m.q3, m.q4))
-        attitude = from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None
+        attitude = _from_quaternion((m.q1, m.q2, m.q3, m.q4))
         step, stamp = self._attitude_step(t, m, attitude)
         if step in NEW_STAMPS:
             self._quaternion_at = t
@@ -411,6 +419,19 @@ class Telemetry:
         attitude = from_euler(*angles) if all(map(math.isfinite, angles)) else None
         step, stamp = self._attitude_step(t, m, attitude)
         if t - self._quaternion_at > QUATERNION_PREFERRED_S and step in NEW_STAMPS:
+            self._euler_at = t
+            self._take_attitude(t, stamp, attitude)
+
+    def _on_odometry(self, t: float, m: Any) -> None:
+        """Attitude and local position in one message: each is used where it does not come by a message of its own."""
+        if m.frame_id != common.MAV_FRAME_LOCAL_NED or m.child_frame_id not in BODY_FRAMES:
+            return
+        step, stamp = self.stamps.step(t, m, m.time_usec * 1e-6, MICROSECONDS_WRAP_S)
+        attitude = _from_quaternion(m.q)
+        if self._gps is None and attitude is not None and t - self._local_at > QUATERNION_PREFERRED_S:
+            position, velocity = np.array((m.x, m.y, m.z)), attitude @ (m.vx, m.vy, m.vz)
+            self._take_local_place(t, step, StampedPlace(stamp, position, velocity))
+        if step in NEW_STAMPS and t - max(self._quaternion_at, self._euler_at) > QUATERNION_PREFERRED_S:
             self._take_attitude(t, stamp, attitude)
 
     def _attitude_step(self, t: float, m: Any, attitude: Array | None) -> tuple[StampStep | None, float]:
@@ -577,3 +598,9 @@ class Telemetry:
         self.clock_map.observe(stamp, t)
         if self.clock_map.resyncs > resyncs:
             self._news.warn("resync", "hard resync of the autopilot's clock, no. %d", self.clock_map.resyncs)
+
+
+def _from_quaternion(numbers: Sequence[float]) -> Array | None:
+    """(3, 3) world_from_body of w, x, y, z as sent; None where they are none."""
+    q = np.array(numbers)
+    return from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None

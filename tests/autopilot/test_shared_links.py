@@ -684,6 +684,42 @@ async def test_euler_angles_are_the_attitude_where_there_is_no_quaternion():
         np.testing.assert_allclose(found, (math.cos(0.8), math.sin(0.8), 0.0), atol=1e-6)
 
 
+class Odometry(FakeAutopilot):
+    """Sends attitude and local position as ODOMETRY, alone or as well."""
+
+    def __init__(self, *, alone: bool) -> None:
+        super().__init__(boot_at=60.0)
+        self._alone = alone
+
+    def _report(self, message_id: int, stamp: float) -> Any:
+        if message_id == ATTITUDE_QUATERNION:
+            unknown = [math.nan] * 21
+            odometry = common.MAVLink_odometry_message(
+                round(stamp * 1e6), 1, 12, *self.position, self.q, 2.0, 0.0, 0.0, 0, 0, 0, unknown, unknown
+            )
+            self.channels[0].send(odometry)
+        spared = (30, ATTITUDE_QUATERNION, 32) if self._alone else ()
+        return None if message_id in spared else super()._report(message_id, stamp)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+async def test_odometry_is_attitude_and_place_where_neither_comes_by_itself(alone):
+    autopilot = Odometry(alone=alone)
+    autopilot.q = np.array((math.cos(0.4), 0.0, 0.0, math.sin(0.4)))  # yaw 0.8
+    async with Flight(autopilot) as flight:
+        autopilot.set_interval(ATTITUDE_QUATERNION, 20_000, flight.clock.now())
+        flight.fly(4.0)
+        before = len(flight.listener.poses)
+        flight.fly(3.0)
+        assert len(flight.listener.poses) - before == pytest.approx(150, abs=10)
+        pose = flight.listener.poses[-1]
+        np.testing.assert_allclose(
+            pose.world_from_body @ (1, 0, 0), (math.cos(0.8), math.sin(0.8), 0.0), atol=1e-6
+        )
+        np.testing.assert_allclose(pose.position, autopilot.position, atol=1e-6)
+        assert flight.unit.status().ok
+
+
 async def test_both_attitudes_are_not_used_twice():
     autopilot = FakeAutopilot(boot_at=60.0)
     async with Flight(autopilot) as flight:
