@@ -76,7 +76,7 @@ def vehicle_name(kind: int) -> str:
 
 
 def with_article(name: str) -> str:
-    """Of a vehicle, by `vehicle_name`."""
+    """A vehicle's name, see `vehicle_name`, behind `a` or `an`."""
     return f"{'an' if name[0] in 'aeioAEIO' else 'a'} {name}"
 
 

@@ -33,7 +33,7 @@ from swarmtrack.messages import Array
 FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
 UNKNOWN_SATELLITES = 255  # satellites
 NO_FIX_TOLD = (
-    "no GPS_RAW_INT comes, which tells of the fix: let the autopilot send it (ArduPilot SRn_EXT_STAT)"
+    "no GPS_RAW_INT comes, so the fix is unknown: let the autopilot send it (ArduPilot SRn_EXT_STAT)"
 )
 
 

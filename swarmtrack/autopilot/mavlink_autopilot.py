@@ -431,8 +431,8 @@ class MavlinkAutopilot:
         return ours
 
     def overheard(self, t: float, data: bytes) -> None:
-        """Of what other senders send beside ours, only heartbeats are read: whether they are autopilots. With a key
-        none of them is verified, so none counts.
+        """Read the heartbeats of another sender's datagram, and nothing else: it may be an autopilot. With a key no other
+        sender is verified, so none counts.
         """
         if self._codec.has_key or HEARTBEAT_HEADER.search(data) is None:
             return

@@ -85,7 +85,7 @@ IMPOSSIBLE, OTHER_CLOCK, STANDING_CLOCK = (
     "stamps that stand still",
 )
 SECOND_CLOCK = "late, or of a second clock"
-DAMAGED = "damaged on the way"
+DAMAGED_FRAMES = "damaged on the way"
 STEPPED_BACK = "stamps before the last one, after the clock was corrected"
 
 
@@ -298,7 +298,9 @@ class Telemetry:
         came, lost = self.senders.came - self._frames.used, self.senders.lost - self._lost_before
         self._lost_before = self.senders.lost
         self._frames.used = self.senders.came
-        self._frames.throw(DAMAGED, min(lost, round(came * (bad - bad_before) / max(1, good - good_before))))
+        self._frames.throw(
+            DAMAGED_FRAMES, min(lost, round(came * (bad - bad_before) / max(1, good - good_before)))
+        )
         self._frames.judge()
 
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
