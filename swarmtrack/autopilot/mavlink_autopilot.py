@@ -196,6 +196,8 @@ class MavlinkAutopilot:
         self._greeted = False
         self._overheard, self._overheard_since = 0, -math.inf
         self._next_choice = -math.inf
+        # Of an autopilot's own log, numbers are those of our conversion.
+        self._is_numbered = self._link.address.scheme not in ("ulog", "bin")
         self._states_at: dict[int, float] = {}
         """When the newest of STATES were sent."""
 
@@ -431,8 +433,8 @@ class MavlinkAutopilot:
         return ours
 
     def overheard(self, t: float, data: bytes) -> None:
-        """Read the heartbeats of another sender's datagram, and nothing else: it may be an autopilot. With a key no other
-        sender is verified, so none counts.
+        """Read the heartbeats of another sender's datagram, and nothing else: it may be an autopilot. With a key no
+        other sender is verified, so none counts.
         """
         if self._codec.has_key or HEARTBEAT_HEADER.search(data) is None:
             return
@@ -493,7 +495,8 @@ class MavlinkAutopilot:
         if frame.data[0] == V2:
             contact.version_2_at = t
         self._account.add(t, frame.id)
-        self._telemetry.senders.on_frame(frame.sequence)
+        if self._is_numbered:
+            self._telemetry.senders.on_frame(frame.sequence)
         reader = self._readers.get(frame.id)
         if reader is None:
             # Not worth decoding; but with a key, what was not verified proves nobody's presence.

@@ -142,10 +142,11 @@ class StampedPlace(NamedTuple):
 
 
 class StampedAttitude(NamedTuple):
-    """attitude (3, 3) world_from_body at a stamp [s]."""
+    """attitude (3, 3) world_from_body at a stamp [s]; rate [rad/s]: at which it turns."""
 
     stamp: float
     attitude: Array
+    rate: float
 
 
 def flight_states_apart(earlier: object, later: object) -> str:
@@ -172,7 +173,9 @@ def attitudes_apart(earlier: StampedAttitude, later: StampedAttitude) -> str:
     """See `SenderWatch.compare`."""
     cosine = 0.5 * (float(np.trace(earlier.attitude.T @ later.attitude)) - 1.0)
     apart = math.acos(min(max(cosine, -1.0), 1.0))
-    is_apart = abs(later.stamp - earlier.stamp) < SENDERS_ATTITUDE_GAP_S and apart > SENDERS_APART_RAD
+    elapsed = abs(later.stamp - earlier.stamp)
+    turned = elapsed * (earlier.rate + later.rate)
+    is_apart = elapsed < SENDERS_ATTITUDE_GAP_S and apart > SENDERS_APART_RAD + turned
     return f"their attitudes are {math.degrees(apart):.0f}° apart" if is_apart else ""
 
 

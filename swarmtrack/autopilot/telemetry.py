@@ -442,8 +442,8 @@ class Telemetry:
         step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
         self._take_rates(t, m, step, stamp)
         if attitude is not None and step not in (None, StampStep.OTHER):
-            subject = attitudes_apart, message_id
-            self.senders.compare(t, subject, StampedAttitude(stamp, attitude), attitudes_apart)
+            said = StampedAttitude(stamp, attitude, math.hypot(m.rollspeed, m.pitchspeed, m.yawspeed))
+            self.senders.compare(t, (attitudes_apart, message_id), said, attitudes_apart)
         if message_id == ATTITUDE_QUATERNION or t - self._quaternion_at > QUATERNION_PREFERRED_S:
             self._throw_old(self.attitudes, step)
         return step, stamp
