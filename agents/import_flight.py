@@ -235,11 +235,20 @@ class _Flight:
 
     def deliver(self, event: Input) -> None:
         self._door.tell(event)
-        self._door.events()
+        self._warn()
+
+    def _warn(self) -> None:
+        """Of what an agent in flight would have warned."""
+        from swarmtrack.outputs.wording import warning
+
+        for event in self._door.events():
+            if line := warning(event):
+                at = self._clock.now() - BEGIN_S
+                print(f"swarmtrack import: at {at:.1f} s: {line}", file=sys.stderr)
 
     def _ask(self, t: float) -> None:
         while self._publish <= t:
             self._clock.set(self._publish)
             self._door.tracks(self._publish)
-            self._door.events()
+            self._warn()
             self._publish += self._period

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 DONE, FAILED = 0, 1
 RECORDED = "recorded"
+# Of each drone.
+WARNINGS_SHOWN = 5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -280,6 +282,8 @@ def _replay(task: _Task) -> _Flown:
 
 
 def _print(one: _Flown, what_if: bool) -> None:
+    from swarmtrack.outputs.wording import warning
+
     replayed, recording = one.replayed, one.recording
     speed = replayed.seconds / one.seconds if one.seconds > 0.0 else math.inf
     print(
@@ -296,6 +300,11 @@ def _print(one: _Flown, what_if: bool) -> None:
         print(f"  {replayed.inputs_lost} inputs are missing in the recording, tracks may differ")
     if replayed.refused:
         print(f"  {replayed.refused} records could not be read")
+    warnings = [(t, line) for t, event in replayed.news if (line := warning(event))]
+    for t, line in warnings[:WARNINGS_SHOWN]:
+        print(f"  at {t:.1f} s: {line}")
+    if len(warnings) > WARNINGS_SHOWN:
+        print(f"  and {len(warnings) - WARNINGS_SHOWN} warnings more")
     if not what_if:
         print(f"  {_sameness(replayed)}; digest {replayed.digest}")
     if one.diff is not None:

@@ -28,18 +28,42 @@ def plain(text: str, longest: int = LONGEST_PLAIN_TEXT) -> str:
     return "".join(sign if sign.isprintable() else " " if sign.isspace() else UNPRINTABLE for sign in text)
 
 
+# Of addresses that name no file, whose name may hold any sign.
+_SCHEME = r"\b(?!(?:file|images|v4l2|sim|tlog|ulog):)[a-z][a-z0-9+.-]{0,20}:"
 _LOGIN = re.compile(
-    r"\b(?!(?:file|images|v4l2|sim|tlog|ulog):)([a-z][a-z0-9+.-]{0,20}:(?://)?)(?:[^\s\"@]{1,300}+@)+",
+    rf"({_SCHEME}(?://)?+)(?!\[?(?:USER:)?PASSWORD@)(?:[^\s\"@]{{1,300}}+@)+",
+    re.IGNORECASE,
+)
+# Whole, or the path and query alone, which a server may repeat.
+_URL = re.compile(
+    rf"(?:{_SCHEME}//|(?<![\w/:.-])/(?!dev/)[^\s\"?=]*\?)[^\s\"]*[^\s\"'),;:]",
     re.IGNORECASE,
 )
 _SECRET = re.compile(r"\b(\w{0,60}(?:pass|pwd|psw|loginpas|secret|token)\w{0,20}=)[^\s\"&;]+", re.IGNORECASE)
+# Options of our own, and numbers too short for a secret: the channel of a recorder.
+_HARMLESS = re.compile(r"(?:(?:latency_ms|sigma_ms|timeout_s|resize)=.*|\w+=\d{1,2})?")
 
 
 def hide_logins(text: str) -> str:
-    """The text with "…" in place of users and passwords in addresses, also in their queries."""
+    """The text with "…" in place of users and passwords in addresses, also in their paths and queries.
+
+    Cameras name the parameter of a password as they like (`pwd`, `p`, `auth`), so no value of a URL's is shown.
+    """
     if "@" in text:
         text = _LOGIN.sub(r"\1…@", text)
+    if "?" in text or "=" in text:
+        text = _URL.sub(_hide_values, text)
     return _SECRET.sub(r"\1…", text) if "=" in text else text
+
+
+def _hide_values(url: re.Match[str]) -> str:
+    path, mark, query = url[0].partition("?")
+    name, equals, _ = path.partition("=")
+    shown = (
+        item if _HARMLESS.fullmatch(item) else re.sub("^([^=]+=).+|.+", r"\1…", item)
+        for item in query.split("&")
+    )
+    return f"{name}{equals and '=…'}{mark}{'&'.join(shown)}"
 
 
 def plain_lines(text: str) -> str:

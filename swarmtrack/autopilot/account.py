@@ -10,7 +10,12 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.autopilot.contact import Contact
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.limits import SLOWEST_USEFUL_GYRO_HZ
-from swarmtrack.autopilot.streams import GLOBAL_POSITION_INT, LOCAL_POSITION_NED
+from swarmtrack.autopilot.streams import (
+    GLOBAL_POSITION_INT,
+    GPS2_RAW,
+    GPS_RAW_INT,
+    LOCAL_POSITION_NED,
+)
 from swarmtrack.autopilot.telemetry import Telemetry
 
 # Of messages that are not read, so many kinds are named.
@@ -32,6 +37,22 @@ class Arrivals:
         return (self.count - 1) / span if span > 0.0 else 0.0
 
 
+# How to come to an attitude, to a position and to a fix of GPS, by the kind of log.
+ATTITUDES_NEEDED = {
+    "tlog": "ATTITUDE_QUATERNION or ATTITUDE is needed",
+    "ulog": "the topic vehicle_attitude is needed (SDLOG_PROFILE)",
+    "bin": "ATT, XKQ or XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)",
+}
+POSITIONS_NEEDED = {
+    "tlog": "LOCAL_POSITION_NED is needed",
+    "ulog": "the topic vehicle_local_position with valid positions is needed (SDLOG_PROFILE)",
+    "bin": "POS or a valid XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)",
+}
+FIXES_NEEDED = {
+    "tlog": "GPS_RAW_INT or GPS2_RAW is needed (ArduPilot SRn_EXT_STAT)",
+    "ulog": "the topic vehicle_gps_position or sensor_gps is needed (SDLOG_PROFILE)",
+    "bin": "GPS is needed (LOG_BITMASK: GPS, bit 2)",
+}
 # How to come to a denser gyro, by the kind of log.
 DENSER_LOGS = {
     "tlog": "import the autopilot's own log (--bin, --ulog), or let it send faster and record again (ArduPilot "
@@ -58,22 +79,34 @@ class Account:
             arrivals.last = t
 
     def lines(
-        self, contact: Contact, framer: Framer, telemetry: Telemetry, unread: frozenset[int]
+        self,
+        contact: Contact,
+        framer: Framer,
+        telemetry: Telemetry,
+        unread: frozenset[int],
+        *,
+        left_out: tuple[str, ...] = (),
     ) -> Iterator[str]:
-        """Sentences for people. unread: messages without a reader."""
+        """Sentences for people. unread: messages without a reader; left_out: of a log, what was never a message."""
         read = {i: each for i, each in self._came.items() if i not in unread}
         yield f"came from autopilot {contact.address}: {_in_words(read) or 'nothing that is read'}"
         gyro, attitudes, positions = telemetry.intakes
         hz = self._gyro_hz(telemetry)
-        source = f" from {telemetry.imu_source.name} ({hz:.3g} Hz)" if gyro.used else ""
+        source = f" from {telemetry.imu_source.name} ({_in_hz(hz)})" if gyro.used else ""
         yield f"used: {gyro.used} gyro samples{source}, {attitudes.used} attitudes, {positions.used} positions"
-        wasted = [str(intake) for intake in telemetry.intakes if intake.thrown]
+        wasted = [*left_out, *(intake.unused for intake in telemetry.intakes if intake.unused)]
         if telemetry.stamps.copies:
             wasted.append(f"{telemetry.stamps.copies} copies of earlier messages")
         if contact.foreign:
-            wasted.append(f"{contact.foreign} messages of other systems or components")
+            others = [f"{at} {what}".strip() for at, what in contact.others.items() if at != contact.address]
+            named = f" ({', '.join(others)})" if others else ""
+            wasted.append(f"{contact.foreign} messages of other systems or components{named}")
+        if contact.early_lost:
+            wasted.append(f"{contact.early_lost} messages from before the autopilot's first heartbeat")
         if framer.bad_bytes:
             wasted.append(f"{framer.bad_bytes} bytes outside of whole frames")
+        if framer.unknown:
+            wasted.append(f"{framer.unknown} frames of messages that MAVLink's common dialect lacks")
         ignored = {i: each for i, each in self._came.items() if i in unread}
         if ignored:
             named = _in_words(dict(list(ignored.items())[:UNREAD_NAMED]))
@@ -92,30 +125,36 @@ class Account:
         """What is missing, with the next step."""
         gyro, attitudes, positions = telemetry.intakes
         hz = self._gyro_hz(telemetry)
-        denser = DENSER_LOGS.get(self._scheme, DENSER_LOGS["tlog"])
+        kind = self._scheme if self._scheme in DENSER_LOGS else "tlog"
+        denser = DENSER_LOGS[kind]
         if not gyro.used:
             yield f"no gyro sample is usable, so tracks are lost in each turn: {denser}"
-        elif hz < SLOWEST_USEFUL_GYRO_HZ:
+        elif hz < 0.95 * SLOWEST_USEFUL_GYRO_HZ:
             yield (
-                f"the gyro is too slow, {hz:.3g} Hz and at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed, so tracks "
+                f"the gyro is too slow, {_in_hz(hz)} and at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed, so tracks "
                 f"are lost in each turn: {denser}"
             )
         if not attitudes.used:
-            yield "no attitude is usable, so no teammate is named: ATTITUDE_QUATERNION or ATTITUDE is needed"
+            yield f"no attitude is usable, so no teammate is named: {ATTITUDES_NEEDED[kind]}"
         if not positions.used:
-            why = self._why_no_position(telemetry, now)
+            why = self._why_no_position(telemetry, now, kind)
             yield f"no position is usable, so the drone's place is unknown: {why}"
 
-    def _why_no_position(self, telemetry: Telemetry, now: float) -> str:
+    def _why_no_position(self, telemetry: Telemetry, now: float, kind: str) -> str:
+        """kind: of log."""
         if lack := telemetry.lack(now):
-            return lack
+            return lack if {GPS_RAW_INT, GPS2_RAW} & self._came.keys() else FIXES_NEEDED[kind]
         if GLOBAL_POSITION_INT in self._came and LOCAL_POSITION_NED not in self._came:
             return 'the log has GLOBAL_POSITION_INT only, which drone.start = { from = "gps" } and a team.origin use'
-        return "LOCAL_POSITION_NED is needed"
+        return POSITIONS_NEEDED[kind]
 
 
 def _in_words(came: dict[int, Arrivals]) -> str:
-    return ", ".join(f"{each.count} {_name(i)} ({each.hz:.3g} Hz)" for i, each in came.items())
+    return ", ".join(f"{each.count} {_name(i)} ({_in_hz(each.hz)})" for i, each in came.items())
+
+
+def _in_hz(rate: float) -> str:
+    return f"{rate:.3g} Hz" if rate < 999.5 else f"{rate:.0f} Hz"
 
 
 def _name(message_id: int) -> str:

@@ -28,7 +28,8 @@ class Contact:
     component, kind, vehicle: of our autopilot, None before it is chosen; the last two are MAV_AUTOPILOT and MAV_TYPE;
     changeling: type of vehicle that speaks under the ID of ours as well, and when it did last; shared_at: when ours
     spoke after it; twins: senders of datagrams that keep ours from being chosen, for they send under one ID;
-    version_2_at: when ours last spoke MAVLink 2.
+    version_2_at: when ours last spoke MAVLink 2; foreign: messages of others; early_lost: messages that came long
+    before ours was chosen.
     """
 
     expected_system: int | None
@@ -52,6 +53,7 @@ class Contact:
     candidates: AutopilotCandidates = field(init=False)
     signature_trouble: str = ""
     foreign: int = 0
+    early_lost: int = 0
     reconnects: int = 0
 
     def __post_init__(self) -> None:

@@ -41,7 +41,7 @@ from swarmtrack.autopilot.logged_flight import (
 )
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry import rotation
-from swarmtrack.geometry.geodesy import Geodetic, to_ned
+from swarmtrack.geometry.geodesy import Geodetic, from_ned, to_ned
 from swarmtrack.messages import Array
 
 journal = logging.getLogger(__name__)
@@ -57,12 +57,24 @@ NUMPY_TYPES = {"b": "i1", "B": "u1", "h": "<i2", "H": "<u2", "i": "<i4", "I": "<
 }  # fmt: skip
 
 GYRO, ACCEL = ("GyrX", "GyrY", "GyrZ"), ("AccX", "AccY", "AccZ")
+# Before their filters, as the sensor measures; of older firmwares the first sensor's.
+RAW_GYROS, RAW_ACCELS = ("GYR", "GYR1"), ("ACC", "ACC1")
 # Of several sensors of a kind: the field that counts them. Older firmwares have a message for each instead.
 INSTANCES = ("I", "C")
 QUATERNIONS = ("XKQ", "XKQ1", "NKQ1")
+# Of an estimator, the state that flies, and how sound that is.
+STATES = {"XKF1": "XKF4", "NKF1": "NKF4", "EKF1": "EKF4"}
+# Of the simple estimator that flies where the others fail.
+BACKUP = "AHR2"
 LOGGED_MESSAGES = frozenset(
-    {"IMU", "ATT", *QUATERNIONS, "POS", "ORGN", "GPS", "GPA", "ARM", "EV", "STAT", "PARM", "MSG"}
+    {"IMU", *RAW_GYROS, *RAW_ACCELS, "ATT", *QUATERNIONS, *STATES, *STATES.values(), BACKUP}
+    | {"POS", "ORGN", "GPS", "GPA", "ARM", "EV", "STAT", "PARM", "MSG"}
 )
+STATE = ("PN", "PE", "PD", "VN", "VE", "VD")
+# Bits of a state's SS: relative or absolute position, and height.
+LEVEL_KNOWN, HEIGHT_KNOWN = 1 << 3 | 1 << 4, 1 << 5
+# Bits of INS_RAW_LOG_OPT: what is logged as raw has passed the filter; and what has not is logged beside it.
+AFTER_FILTER, BOTH_SIDES = 1 << 2, 1 << 3
 EKF_ORIGIN = 0  # ORGN.Type
 # EV.Id: of what has happened, whether it is armed and flies since; None: as before.
 EVENTS: dict[int, tuple[bool | None, bool | None]] = {
@@ -89,18 +101,19 @@ def read_dataflash(path: Path) -> LoggedFlight:
 def _flight(path: Path) -> LoggedFlight:
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
         log = _decoded(data, LOGGED_MESSAGES)
-    gyro = _of_one_sensor(log.messages.get("IMU"))
-    if gyro is None or not _has(gyro, *GYRO, *ACCEL):
-        raise SourceError(
-            f"{path}: holds no gyro, expected IMU messages with TimeUS (LOG_BITMASK; ArduPilot 3.3 or newer)"
-        )
+    name, gyro = _densest_gyro(log.messages)
+    if gyro is None:
+        raise SourceError(f"{path}: holds no gyro, expected IMU messages with a time (LOG_BITMASK)")
     if log.damaged_bytes:
         journal.warning("%s: %d bytes are damaged; the rest is used", path, log.damaged_bytes)
     parameters = _parameters(log.messages.get("PARM"))
     system = system_id(parameters.get("MAV_SYSID", parameters.get("SYSID_THISMAV")))
+    raw = int(parameters.get("INS_RAW_LOG_OPT", 0.0)) & (AFTER_FILTER | BOTH_SIDES) != AFTER_FILTER
+    if name in RAW_GYROS and raw:
+        parameters["INS_GYRO_FILTER"] = 0.0
     gps = _receiver_in_use(log.messages.get("GPS"))
     said = _said(log.messages, gyro, gps, parameters)
-    return LoggedFlight(frames(said, system), _utc_offset(gps), system)
+    return LoggedFlight(frames(said, system), _utc_offset(gps), system, _left_out(log.messages))
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -145,9 +158,9 @@ def _decoded(data: mmap.mmap, names: Collection[str]) -> _Log:
         elif formats[kind].name in names:
             offsets.setdefault(kind, array("Q")).append(position + MESSAGE_HEADER)
         position += length
-    return _Log(
-        {formats[kind].name: _columns(data, at, formats[kind]) for kind, at in offsets.items()}, damaged
-    )
+    messages = {formats[kind].name: _columns(data, at, formats[kind]) for kind, at in offsets.items()}
+    _date_events(messages, {formats[kind].name: at for kind, at in offsets.items()})
+    return _Log(messages, damaged)
 
 
 def _learn(message: bytes, formats: dict[int, MessageFormat], lengths: list[int]) -> None:
@@ -187,7 +200,19 @@ def _columns(data: mmap.mmap, offsets: Sequence[int], format: MessageFormat) -> 
     }
     if "TimeUS" in columns:
         columns["timestamp"] = columns["TimeUS"]
+    elif "Week" in columns and "TimeMS" in columns and "T" in columns:
+        # A receiver's, before ArduPilot 3.3: its own time is that of the week.
+        columns |= {"GWk": columns["Week"], "GMS": columns["TimeMS"], "timestamp": 1e3 * columns["T"]}
+    elif "TimeMS" in columns:
+        columns["timestamp"] = 1e3 * columns["TimeMS"]
     return columns
+
+
+def _date_events(messages: dict[str, dict[str, Array]], offsets: dict[str, array[int]]) -> None:
+    """Before ArduPilot 3.3 events have no time: theirs becomes that of the gyro samples around them, in place."""
+    events, gyro = messages.get("EV"), messages.get("IMU")
+    if events is not None and not _has(events) and _has(gyro):
+        events["timestamp"] = np.interp(offsets["EV"], offsets["IMU"], gyro["timestamp"])
 
 
 # --- what ArduPilot would have said ---------------------------------------------------------------
@@ -217,14 +242,42 @@ def _has(columns: Columns | None, *names: str) -> TypeGuard[Columns]:
 
 
 def _of_one_sensor(columns: Columns | None) -> Columns | None:
-    """Of the sensor that is logged most often, of equals the first; None without a time stamp."""
+    """Of the sensor that is logged most often as healthy, of equals the first; None without a time stamp."""
     if columns is None or not _has(columns):
         return None
     instances = next((columns[name] for name in INSTANCES if name in columns), None)
     if instances is None:
         return columns
-    numbers, counts = np.unique(instances, return_counts=True)
+    healthy = columns["GH"] == 1 if "GH" in columns else np.ones(len(instances), bool)
+    numbers, counts = np.unique(instances[healthy] if healthy.any() else instances, return_counts=True)
     return _where(columns, instances == numbers[counts.argmax()])
+
+
+def _densest_gyro(messages: dict[str, dict[str, Array]]) -> tuple[str, Columns | None]:
+    """Name of the message, and GYRO and ACCEL at the times of its samples; None: there is none."""
+    gyros = {name: _of_one_sensor(messages.get(name)) for name in ("IMU", *RAW_GYROS)}
+    found = {name: columns for name, columns in gyros.items() if _has(columns, *GYRO)}
+    if not found:
+        return "", None
+    name = max(found, key=lambda name: len(found[name]["timestamp"]))
+    gyro = _as_sampled(found[name])
+    if _has(gyro, *ACCEL):
+        return name, gyro
+    others = (_of_one_sensor(messages.get(name)) for name in (*RAW_ACCELS, "IMU"))
+    accel = next((_as_sampled(columns) for columns in others if _has(columns, *ACCEL)), None)
+    nothing = np.full(len(gyro["timestamp"]), np.nan)
+    return name, {
+        **gyro,
+        **{
+            axis: nothing if accel is None else np.interp(gyro["timestamp"], accel["timestamp"], accel[axis])
+            for axis in ACCEL
+        },
+    }
+
+
+def _as_sampled(columns: Columns) -> Columns:
+    """By the times of the samples, where these are logged beside those of the messages."""
+    return {**columns, "timestamp": columns["SampleUS"]} if "SampleUS" in columns else columns
 
 
 def _where(columns: Columns, chosen: Array) -> Columns:
@@ -286,39 +339,86 @@ def _kind_of_vehicle(columns: Columns | None) -> Any:
 
 
 def _attitudes(messages: dict[str, dict[str, Array]], begin: float) -> Said:
-    """Of the estimator that flies, in angles; else as the first core's quaternion."""
-    if _has(angles := messages.get("ATT"), "Roll", "Pitch", "Yaw"):
-        for t, *rpy in thinned(rows(angles, "Roll", "Pitch", "Yaw"), begin):
-            if all(map(math.isfinite, rpy)):
-                attitude_matrix = rotation.from_euler(*(math.radians(angle) for angle in rpy))
-                yield attitude(t, rotation.to_quaternion(attitude_matrix).tolist())
-        return
-    for name in QUATERNIONS:
-        core = _of_one_sensor(messages.get(name))
-        if _has(core, "Q1", "Q2", "Q3", "Q4"):
-            yield from (attitude(t, q) for t, *q in thinned(rows(core, "Q1", "Q2", "Q3", "Q4"), begin))
+    """Of the estimator that flies; else of the first core, else of the backup."""
+    for name in ("ATT", *QUATERNIONS, *STATES, BACKUP):
+        columns = _of_one_sensor(messages.get(name))
+        if _has(columns, "Q1", "Q2", "Q3", "Q4"):
+            yield from (attitude(t, q) for t, *q in thinned(rows(columns, "Q1", "Q2", "Q3", "Q4"), begin))
+            return
+        if _has(columns, "Roll", "Pitch", "Yaw"):
+            for t, *rpy in thinned(rows(columns, "Roll", "Pitch", "Yaw"), begin):
+                if all(map(math.isfinite, rpy)):
+                    attitude_matrix = rotation.from_euler(*(math.radians(angle) for angle in rpy))
+                    yield attitude(t, rotation.to_quaternion(attitude_matrix).tolist())
             return
 
 
 def _positions(messages: dict[str, dict[str, Array]]) -> Said:
-    """Global, and local from the estimator's origin, or where that is not logged from the first place."""
-    if not _has(columns := messages.get("POS"), "Lat", "Lng", "Alt"):
-        return
-    places = [
+    """Of the estimator that flies; else of the first core, which needs no GPS; else of the backup."""
+    origin = _origin(messages.get("ORGN"))
+    if places := _places(messages.get("POS")):
+        yield from _global_positions(places, origin)
+    elif states := _states(messages)[0]:
+        for t, *row in states:
+            position, velocity = row[:3], row[3:]
+            yield local_position(t, position, velocity)
+            if origin is not None and np.isfinite(row).all():
+                yield global_position(t, from_ned(np.array(position), origin), velocity)
+    else:
+        yield from _global_positions(_places(messages.get(BACKUP)), origin)
+
+
+def _places(columns: Columns | None) -> list[tuple[float, Geodetic]]:
+    """Where it was, each with its time [s]."""
+    if not _has(columns, "Lat", "Lng", "Alt"):
+        return []
+    return [
         (t, Geodetic.from_degrees(latitude, longitude, height))
         for t, latitude, longitude, height in thinned(rows(columns, "Lat", "Lng", "Alt"))
         if _is_place(latitude, longitude, height)
     ]
+
+
+def _global_positions(places: list[tuple[float, Geodetic]], origin: Geodetic | None) -> Said:
+    """Global, and local from the estimator's origin, or where that is not logged from the first place."""
     if not places:
         return
-    origin = _origin(messages.get("ORGN")) or places[0][1]
+    start = origin or places[0][1]
     times = np.array([t for t, _ in places])
-    local = np.array([to_ned(place, origin) for _, place in places])
+    local = np.array([to_ned(place, start) for _, place in places])
     for (t, place), position, velocity in zip(
         places, local.tolist(), _slopes(times, local).tolist(), strict=True
     ):
         yield local_position(t, position, velocity)
         yield global_position(t, place, velocity)
+
+
+def _states(messages: dict[str, dict[str, Array]]) -> tuple[list[list[float]], int]:
+    """time [s], position [m] and velocity [m/s] in NED from the estimator's origin, while it holds them for known; and
+    how many it does not.
+    """
+    for name, status in STATES.items():
+        columns = _of_one_sensor(messages.get(name))
+        if _has(columns, *STATE):
+            known = _known(columns, _of_one_sensor(messages.get(status)))
+            return list(thinned(rows(_where(columns, known), *STATE))), int(np.count_nonzero(known == 0))
+    return [], 0
+
+
+def _known(states: Columns, statuses: Columns | None) -> Array:
+    """(n,) whether the status, which is written right after a state, holds its position for known."""
+    if not _has(statuses, "SS"):
+        return np.ones(len(states["timestamp"]), bool)
+    after = np.searchsorted(statuses["timestamp"], states["timestamp"])
+    flags = statuses["SS"].astype(int)[np.minimum(after, len(statuses["SS"]) - 1)]
+    return np.asarray((flags & LEVEL_KNOWN != 0) & (flags & HEIGHT_KNOWN != 0))
+
+
+def _left_out(messages: dict[str, dict[str, Array]]) -> tuple[str, ...]:
+    """Positions that are not used, in words."""
+    unknown = 0 if _places(messages.get("POS")) else _states(messages)[1]
+    why = "not known by the estimator's own word, XKF4.SS: take off once it has GPS, optical flow or vision"
+    return (f"{unknown} positions ({why})",) if unknown else ()
 
 
 def _is_place(latitude: float, longitude: float, height: float) -> bool:

@@ -8,12 +8,15 @@ from swarmtrack.autopilot.limits import IMU_RATE_WINDOW_S, INTAKE_LEAST
 
 
 class Intake:
-    """Counts of one thing, named in the plural by `noun`. used; thrown: by the reason; both since the start."""
+    """Counts of one thing, named in the plural by `noun`, all since the start. used; thrown, and spare where nothing is
+    wrong with it: by the reason.
+    """
 
     def __init__(self, noun: str) -> None:
         self.noun = noun
         self.used = 0
         self.thrown: Counter[str] = Counter()
+        self.spare: Counter[str] = Counter()
         self.fault = ""
         """Of the last window, empty where most was used."""
         self.shares: dict[str, float] = {}
@@ -23,6 +26,10 @@ class Intake:
 
     def throw(self, why: str, count: int = 1) -> None:
         self.thrown[why] += count
+
+    def pass_over(self, why: str) -> None:
+        """Count what is in order and still of no use."""
+        self.spare[why] += 1
 
     def judge(self) -> None:
         """A window has ended."""
@@ -38,5 +45,13 @@ class Intake:
             )
 
     def __str__(self) -> str:
+        """What was thrown away, for people; empty where nothing was."""
+        return self._in_words(self.thrown)
+
+    @property
+    def unused(self) -> str:
         """What was not used, for people; empty where all was."""
-        return ", ".join(f"{n} {self.noun} ({why})" for why, n in self.thrown.most_common())
+        return self._in_words(self.thrown + self.spare)
+
+    def _in_words(self, counts: Counter[str]) -> str:
+        return ", ".join(f"{n} {self.noun} ({why})" for why, n in counts.most_common())

@@ -30,6 +30,11 @@ LONGEST_UPTIME_S = 4.2e6
 # Telemetry logs (`tlog`): stamps of neighbours that are farther apart are a pause, or a step of the log's clock; and
 # how much of the log on either side tells which.
 TLOG_PAUSE_S, TLOG_WINDOW_S, TLOG_WINDOW_RECORDS = 0.5, 5.0, 1000
+# Records at a log's beginning by which its stamps are judged; times as fast or slow as the autopilot's clock, which a
+# simulation may be.
+TLOG_JUDGED_RECORDS, TLOG_CLOCK_RATE = 5000, 20.0
+# No clock is set so often: the autopilot's tells the time from then on. And steps that are said one by one.
+TLOG_MOST_STEPS, TLOG_SAID_STEPS = 100, 3
 # Logs (`log_files`): of the processor's time before a file is given up; ten times what was measured.
 LOG_READ_S, LOG_READ_S_PER_MB = 1.5, 2.0
 # Of a ULog's definitions (`ulog_definitions`): PX4's largest topic has some 200 fields, its deepest two formats within.

@@ -17,7 +17,7 @@ import os
 import socket
 import termios
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple, Protocol, cast
@@ -32,6 +32,7 @@ from swarmtrack.autopilot.limits import (
     LINK_SEND_BUFFER_BYTES,
     RECORDS_PER_TURN,
     SERIAL_READ_BYTES,
+    TLOG_SAID_STEPS,
     UDP_PEER_SILENT_S,
 )
 from swarmtrack.autopilot.log_files import check_kind
@@ -466,13 +467,32 @@ class TlogLink(RecordingLink):
 
     # Some programs write whatever they have read.
     datagrams = False
+    _steps = 0
 
     async def run(self, receiver: Receiver) -> None:
         with self._map() as data:
+            self._steps = 0
             receiver.opened()
-            await self._play(records(data, self._on_step), receiver)
+            await self._play(records(data, self._on_step, self._on_useless), receiver)
+        if self._steps > TLOG_SAID_STEPS:
+            log.warning("%s: that clock was set %d times in all", self.address, self._steps)
+
+    def read(self) -> Iterator[bytes]:
+        """What its records hold, without their times."""
+        with self._map() as data:
+            for _, record in records(data):
+                yield record
+
+    def _on_useless(self) -> None:
+        log.warning(
+            "%s: the times in it do not advance as time does: those of its autopilot are used from here on",
+            self.address,
+        )
 
     def _on_step(self, at: float, by: float) -> None:
+        self._steps += 1
+        if self._steps > TLOG_SAID_STEPS:
+            return
         log.warning(
             "%s: the clock of the computer that wrote it was set by %+.1f s at %.1f s: its times go on by the "
             "autopilot's clock",
@@ -491,11 +511,14 @@ class TlogLink(RecordingLink):
 
 
 class LoggedLink(RecordingLink):
-    """An autopilot's own log, as the telemetry it would have sent meanwhile."""
+    """An autopilot's own log, as the telemetry it would have sent meanwhile. left_out: of it, in words."""
+
+    left_out: tuple[str, ...] = ()
 
     async def run(self, receiver: Receiver) -> None:
         flight = read_log(self.address.scheme, Path(self.address.path))
         _read_log.cache_clear()
+        self.left_out = flight.left_out
         receiver.opened()
         await self._play(flight.records, receiver)
 

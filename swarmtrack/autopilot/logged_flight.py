@@ -26,11 +26,13 @@ Said = Iterable[tuple[float, Any]]
 
 
 class LoggedFlight(NamedTuple):
-    """One log. records: (time [s since boot], frame), ascending; utc_offset: to UTC [s], None without GPS time."""
+    """One log. records: (time [s since boot], frame), ascending; utc_offset: to UTC [s], None without GPS time;
+    left_out: what else the log holds, and why it is not used."""
 
     records: list[tuple[float, bytes]]
     utc_offset: float | None
     system: int
+    left_out: tuple[str, ...] = ()
 
 
 def frames(said: Said, system: int) -> list[tuple[float, bytes]]:
@@ -62,7 +64,8 @@ def rows(columns: Columns, *names: str) -> Iterator[list[Any]]:
     columns: with `timestamp` in µs.
     """
     times = np.asarray(columns["timestamp"], dtype=float) * 1e-6
-    sound = np.flatnonzero(np.abs(times - np.median(times)) < LONGEST_RECORDING_S)
+    middle = np.median(times) if len(times) else 0.0
+    sound = np.flatnonzero(np.abs(times - middle) < LONGEST_RECORDING_S)
     kept = [np.asarray(values)[sound].tolist() for values in (times, *(columns[name] for name in names))]
     return map(list, zip(*kept, strict=True))
 

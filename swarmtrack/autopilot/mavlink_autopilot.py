@@ -47,11 +47,12 @@ from swarmtrack.autopilot.limits import (
     NAMED_SOURCES,
     OVERHEARD_HZ,
     PILOT_SWITCH_HZ,
+    RECORDS_PER_TURN,
     STATE_ORDER_S,
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
-from swarmtrack.autopilot.links import Link, LinkDown, UdpLink, Wire, open_link
+from swarmtrack.autopilot.links import Link, LinkDown, LoggedLink, TlogLink, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.senders import flight_states_apart
@@ -71,6 +72,8 @@ HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
 HEARTBEAT_HEADER = re.compile(rb"\xfd\x09[\x00\x01]\x00...\x00\x00\x00|\xfe\x09...\x00", re.DOTALL)
 # Messages whose newest one alone is true.
 STATES = frozenset({HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
+# When somebody was heard whose part of a log is still to be played.
+NOT_YET = -math.inf
 
 
 def _check(imu_rate_hz: float, system_id: int | None) -> None:
@@ -247,6 +250,8 @@ class MavlinkAutopilot:
                 page("security.md"),
             )
         if self._link.recording:
+            if isinstance(self._link, TlogLink):
+                await self._survey(self._link)
             await self._link.run(self)
             now = self._now()
             self._look_for_autopilot(now, final=True)
@@ -344,7 +349,8 @@ class MavlinkAutopilot:
         if contact.system is None:
             raise SourceError(self.status().text)
         unread = frozenset(common.mavlink_map) - self._readers.keys()
-        return list(self._account.lines(contact, self._framer, self._telemetry, unread))
+        left_out = self._link.left_out if isinstance(self._link, LoggedLink) else ()
+        return list(self._account.lines(contact, self._framer, self._telemetry, unread, left_out=left_out))
 
     @property
     def trouble(self) -> str:
@@ -466,6 +472,7 @@ class MavlinkAutopilot:
                 ours |= self._on_frame(t, frame, message)
                 continue
             # What came before it is known whose it was is not lost.
+            self._contact.early_lost += len(self._early) == EARLY_FRAMES_KEPT
             self._early.append(_EarlyFrame(t, frame, message, sender))
             self._note_source(t, frame, message)
             ours |= self._look_for_autopilot(t)
@@ -489,8 +496,7 @@ class MavlinkAutopilot:
         address = AutopilotAddress(frame.system, frame.component)
         if address != contact.address:
             contact.foreign += 1
-            if frame.id == HEARTBEAT and message is not None:
-                contact.candidates.on_heartbeat(t, address, message)
+            self._note_source(t, frame, message)
             return False
         if frame.data[0] == V2:
             contact.version_2_at = t
@@ -536,7 +542,7 @@ class MavlinkAutopilot:
     # ── who it is ────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _note_source(self, t: float, frame: MavlinkFrame, message: Any | None) -> None:
-        """Who speaks, as long as our autopilot is not known."""
+        """Who speaks beside our autopilot, or as long as that is not known."""
         contact = self._contact
         address = AutopilotAddress(frame.system, frame.component)
         candidate = None
@@ -546,6 +552,18 @@ class MavlinkAutopilot:
             named = "" if candidate is None else candidate.name
             contact.others[address] = named or contact.others.get(address, "")
 
+    async def _survey(self, log: TlogLink) -> None:
+        """Note who speaks in a log before it is played: those who are late count as well."""
+        # What is decoded once more with this one is no replay to the other.
+        framer, codec, candidates = Framer(), self._codec.again(), self._contact.candidates
+        for i, record in enumerate(log.read()):
+            if i % RECORDS_PER_TURN == 0:
+                await asyncio.sleep(0)
+            for frame in framer.feed(record):
+                if frame.id == HEARTBEAT and (message := codec.decode(frame)) is not None:
+                    candidates.on_heartbeat(NOT_YET, AutopilotAddress(frame.system, frame.component), message)
+        candidates.first_at = math.inf
+
     def _look_for_autopilot(self, now: float, *, final: bool = False) -> bool:
         """Once it is clear which one is ours, deliver what it has said; True where a frame of it was among that. final:
         no other will be heard.
@@ -553,8 +571,8 @@ class MavlinkAutopilot:
         contact = self._contact
         if contact.system is not None or now < self._next_choice:
             return False
-        candidate = contact.candidates.choose(now, final=final)
-        if candidate is None:
+        candidate = contact.candidates.choose(now, final=final or self._link.recording)
+        if candidate is None or candidate.heard_at == NOT_YET:
             return False
         contact.twins = self._twins(candidate.address, now)
         if contact.twins:

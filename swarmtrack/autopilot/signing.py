@@ -71,6 +71,10 @@ class Codec:
             self._mav.signing.link_id = component
             self._follow_wall_time()
 
+    def again(self) -> Codec:
+        """Another one that has decoded nothing yet."""
+        return Codec(self._clock, self.system, self.component, self._key)
+
     @property
     def system(self) -> int:
         return int(self._mav.srcSystem)

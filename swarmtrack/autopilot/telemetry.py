@@ -87,6 +87,9 @@ IMPOSSIBLE, OTHER_CLOCK, STANDING_CLOCK = (
 SECOND_CLOCK = "late, or of a second clock"
 DAMAGED_FRAMES = "damaged on the way"
 STEPPED_BACK = "stamps before the last one, after the clock was corrected"
+# And why something is passed over.
+OTHER_SENSOR = "of another sensor than the first"
+NO_FIX = "without a usable GPS fix, or far from the team's origin"
 
 
 class Telemetry:
@@ -308,6 +311,7 @@ class Telemetry:
     def _on_imu(self, t: float, m: Any) -> None:
         source = IMU_MESSAGES[RANKS[m.get_msgId()]]
         if source.numbered and not self._is_sensor(t, source.id, m.id):
+            self.gyro.pass_over(OTHER_SENSOR)
             return
         step, stamp = self.stamps.step(t, m, source.stamp(m), source.wrap_s)
         self._take_rates(t, m, step, stamp)
@@ -324,7 +328,11 @@ class Telemetry:
         rank = RANKS[m.get_msgId()]
         if step is None and rank == self._imu_rank and stamp == self.cadence.newest:
             self.cadence.observe(stamp)
-        if step is None or not self._is_source(t, rank, step):
+        if step is None:
+            return
+        if not self._is_source(t, rank, step):
+            if m.get_msgId() not in ATTITUDE_MESSAGES:
+                self.gyro.pass_over(f"{IMU_MESSAGES[rank].name}: a better message is used")
             return
         if step is StampStep.OTHER:
             self.gyro.throw(SECOND_CLOCK)
@@ -380,9 +388,13 @@ class Telemetry:
     def _on_global_position(self, t: float, m: Any) -> None:
         assert self._gps is not None
         step, stamp = self._position_step(t, m)
-        place = None if step in (None, StampStep.OTHER) else self._gps.place(t, m)
+        if step in (None, StampStep.OTHER):
+            return
+        place = self._gps.place(t, m)
         if place is not None:
             self._take_place(t, step, StampedPlace(stamp, *place))
+        elif step in NEW_STAMPS:
+            self.positions.pass_over(NO_FIX)
 
     def _on_local_position(self, t: float, m: Any) -> None:
         step, stamp = self._position_step(t, m)
@@ -420,7 +432,9 @@ class Telemetry:
         angles = m.roll, m.pitch, m.yaw
         attitude = from_euler(*angles) if all(map(math.isfinite, angles)) else None
         step, stamp = self._attitude_step(t, m, attitude)
-        if t - self._quaternion_at > QUATERNION_PREFERRED_S and step in NEW_STAMPS:
+        if t - self._quaternion_at <= QUATERNION_PREFERRED_S:
+            self.attitudes.pass_over("ATTITUDE: a better message is used")
+        elif step in NEW_STAMPS:
             self._euler_at = t
             self._take_attitude(t, stamp, attitude)
 
@@ -433,7 +447,9 @@ class Telemetry:
         if self._gps is None and attitude is not None and t - self._local_at > QUATERNION_PREFERRED_S:
             position, velocity = np.array((m.x, m.y, m.z)), attitude @ (m.vx, m.vy, m.vz)
             self._take_local_place(t, step, StampedPlace(stamp, position, velocity))
-        if step in NEW_STAMPS and t - max(self._quaternion_at, self._euler_at) > QUATERNION_PREFERRED_S:
+        if t - max(self._quaternion_at, self._euler_at) <= QUATERNION_PREFERRED_S:
+            self.attitudes.pass_over("ODOMETRY: a better message is used")
+        elif step in NEW_STAMPS:
             self._take_attitude(t, stamp, attitude)
 
     def _attitude_step(self, t: float, m: Any, attitude: Array | None) -> tuple[StampStep | None, float]:

@@ -5,13 +5,18 @@ battery: by seconds, by days, or from 1970 on. The frames' own stamps are of the
 Both count the time that passes, so where neighbouring records are far apart or go back, the frames around them tell how
 long that took, and the rest is a step of the log's clock. It is taken out of all later stamps and reported. Where no
 frame tells, going back is a step, and so is what is longer than any flight; the rest is a pause.
+
+Stamps of another unit or byte order, or that stand still, do not advance as time does. Then the frames' own stamps tell
+all times.
 """
 
 from __future__ import annotations
 
+import itertools
 import mmap
 import re
-from collections import deque
+import statistics
+from collections import defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
@@ -30,6 +35,9 @@ from swarmtrack.autopilot.framer import (
 from swarmtrack.autopilot.limits import (
     CLOCK_RESYNC_S,
     LONGEST_RECORDING_S,
+    TLOG_CLOCK_RATE,
+    TLOG_JUDGED_RECORDS,
+    TLOG_MOST_STEPS,
     TLOG_PAUSE_S,
     TLOG_WINDOW_RECORDS,
     TLOG_WINDOW_S,
@@ -42,6 +50,8 @@ STAMP_AND_MAGIC = re.compile(rb"\x00[\x00-\x0e].{6}[\xfd\xfe]", re.DOTALL)
 LONGEST_RECORD = 4096
 # Nobody spoke MAVLink before: a computer that says so has never had its clock set. s of UTC, 2004.
 CLOCK_WAS_SET = 1.08e9
+# Bytes of a file in which some frame is stamped.
+FIRST_BYTES = 1 << 16
 
 
 Bytes = mmap.mmap | bytes
@@ -93,17 +103,92 @@ def _own_time(frame: MavlinkFrame) -> tuple[TimeBase, float] | None:
 
 
 def records(
-    data: Bytes, on_step: Callable[[float, float], None] = lambda at, by: None
+    data: Bytes,
+    on_step: Callable[[float, float], None] = lambda at, by: None,
+    on_useless: Callable[[], None] = lambda: None,
 ) -> Iterator[tuple[float, bytes]]:
     """(UTC [s] by the first record's clock, bytes) of each record of a telemetry log; times never go back.
 
-    on_step: told of each step of the log's clock: s since the first record, and by how much [s].
+    on_step: told of each step of the log's clock: s since the first record, and by how much [s]; on_useless: told that
+    the stamps do not advance as time does, so that times count from 0, or that its clock steps all the time.
     """
+    base = _base_instead(data)
+    if base is None:
+        yield from _by_stamps(data, on_step, on_useless)
+    else:
+        on_useless()
+        pieces = (data[begin : begin + FIRST_BYTES] for begin in range(0, len(data), FIRST_BYTES))
+        yield from _by_frames(pieces, base, 0.0)
+
+
+def _base_instead(data: Bytes) -> TimeBase | None:
+    """By which the frames tell the time, where the stamps in front of them do not; None where they do or none does."""
+    second = _end(data, 0)
+    if all(_is_magic(data, at + STAMP_LENGTH) and not STAMP_AND_MAGIC.match(data, at) for at in (0, second)):
+        framer = Framer()
+        return _main_base(
+            [(own, 0.0) for frame in framer.feed(data[:FIRST_BYTES]) if (own := _own_time(frame)) is not None]
+        )[0]
+    stamped: list[tuple[tuple[TimeBase, float], float]] = []
+    for record in itertools.islice(_stamped_records(data), TLOG_JUDGED_RECORDS):
+        stamped += [(own, record.stamp) for own in record.own_times]
+    base, times = _main_base(stamped)
+    seconds = times[:1]
+    for each in times:
+        if each[0] - seconds[-1][0] >= 1.0:
+            seconds.append(each)
+    if len(seconds) < 3:
+        return None
+    # A single step spoils the whole, and what a radio had held back some of the parts.
+    whole = _rate(seconds[0], seconds[-1])
+    parts = statistics.median(itertools.starmap(_rate, itertools.pairwise(seconds)))
+    return None if any(1.0 / TLOG_CLOCK_RATE < rate < TLOG_CLOCK_RATE for rate in (whole, parts)) else base
+
+
+def _rate(begin: tuple[float, float], end: tuple[float, float]) -> float:
+    """s of the log's per second of the autopilot's, between two (own time, stamp)."""
+    return (end[1] - begin[1]) / (end[0] - begin[0])
+
+
+def _is_magic(data: Bytes, at: int) -> bool:
+    return data[at : at + 1] in (b"\xfd", b"\xfe")
+
+
+def _main_base(
+    stamped: Iterable[tuple[tuple[TimeBase, float], float]],
+) -> tuple[TimeBase | None, list[tuple[float, float]]]:
+    """The autopilot's busiest time base, or None; and of its frames, own time [s] and log's stamp [s]. stamped: the
+    same of all frames."""
+    found: dict[TimeBase, list[tuple[float, float]]] = defaultdict(list)
+    for (base, own), stamp in stamped:
+        found[base].append((own, stamp))
+    rank = lambda base: (base.component == common.MAV_COMP_ID_AUTOPILOT1, len(found[base]))  # noqa: E731
+    best = max(found, key=rank, default=None)
+    return best, [] if best is None else found[best]
+
+
+def _by_frames(pieces: Iterable[bytes], base: TimeBase | None, t: float) -> Iterator[tuple[float, bytes]]:
+    """(time, frame), by this time base from t [s] on; what stands between frames is lost."""
+    framer, last = Framer(), None
+    for piece in pieces:
+        for frame in framer.feed(piece):
+            own = _own_time(frame)
+            if own is not None and own[0] == base:
+                # Not on where the autopilot begins again.
+                elapsed = 0.0 if last is None else own[1] - last
+                t += elapsed if 0.0 < elapsed < LONGEST_RECORDING_S else 0.0
+                last = own[1]
+            yield t, frame.data
+
+
+def _by_stamps(
+    data: Bytes, on_step: Callable[[float, float], None], on_useless: Callable[[], None]
+) -> Iterator[tuple[float, bytes]]:
     found = _stamped_records(data)
     past: deque[LoggedBytes] = deque(maxlen=TLOG_WINDOW_RECORDS)
     ahead: deque[LoggedBytes] = deque()
     first = last = None
-    shift = 0.0
+    shift, steps = 0.0, 0
     while (record := _next(ahead, found)) is not None:
         first = first or record
         record.t = record.stamp + shift
@@ -118,6 +203,13 @@ def records(
                 shift -= step
                 record.t = record.stamp + shift
                 on_step(record.t - first.t, step)
+                steps += 1
+                if steps == TLOG_MOST_STEPS:
+                    on_useless()
+                    rest = (each.data for each in itertools.chain((record, *ahead), found))
+                    base, _ = _main_base((own, 0.0) for each in past for own in each.own_times)
+                    yield from _by_frames(rest, base, record.t)
+                    return
         if last is not None:
             record.t = max(record.t, last.t)
         last = record

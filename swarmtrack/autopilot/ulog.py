@@ -74,6 +74,7 @@ def read_ulog(path: Path) -> LoggedFlight:
             begin = _count_from_boot(topics.values())
             system = system_id(log.initial_parameters.get("MAV_SYS_ID"))
             said = frames(_said(topics, gps), system)
+            left_out = _left_out(topics.get("vehicle_local_position"))
     except (*BAD_LOG_ERRORS, ULogException, OSError, struct.error) as error:
         raise SourceError(f"{path}: is broken or cut off in its header, expected a ULog ({error})") from None
     if not any(name in topics for name in GYRO_TOPICS):
@@ -83,7 +84,7 @@ def read_ulog(path: Path) -> LoggedFlight:
         )
     if log.file_corruption:
         journal.warning("%s: is damaged; what can be read of it is used", path)
-    return LoggedFlight(said, None if offset is None else offset + begin, system)
+    return LoggedFlight(said, None if offset is None else offset + begin, system, left_out)
 
 
 def _count_from_boot(topics: Iterable[dict[str, Array]]) -> float:
@@ -169,11 +170,7 @@ def _positions(columns: Columns | None) -> Said:
         return
     names = ["x", "y", "z", "vx", "vy", "vz", "ref_lat", "ref_lon", "ref_alt"]
     valid = ["xy_valid", "z_valid", "xy_global", "z_global"]
-    samples = list(thinned(rows(columns, *names, *valid)))
-    invalid = sum(not (xy and z) for *_, xy, z, _, _ in samples)
-    if invalid:
-        journal.warning("%d of %d positions are not valid by PX4's own word: not used", invalid, len(samples))
-    for t, *row in samples:
+    for t, *row in thinned(rows(columns, *names, *valid)):
         (position, velocity), (latitude, longitude, height) = (row[:3], row[3:6]), row[6:9]
         xy, z, xy_global, z_global = row[9:]
         if not (xy and z):
@@ -188,6 +185,14 @@ def _positions(columns: Columns | None) -> Said:
             origin = Geodetic.from_degrees(latitude, longitude, height)
             place = from_ned(np.array(position), origin)
             yield global_position(t, place, velocity)
+
+
+def _left_out(positions: Columns | None) -> tuple[str, ...]:
+    if positions is None:
+        return ()
+    invalid = sum(not (xy and z) for _, xy, z in thinned(rows(positions, "xy_valid", "z_valid")))
+    why = "not valid by PX4's own word: take off once its estimator has GPS, optical flow or vision"
+    return (f"{invalid} positions ({why})",) if invalid else ()
 
 
 def _fixes(columns: Columns | None) -> Said:

@@ -45,11 +45,15 @@ class CameraAddress:
 
     def __str__(self) -> str:
         """The address for people and logs: passwords hidden."""
-        query = "?" + "&".join(f"{key}={value}" for key, value in self.query) if self.query else ""
         if self.scheme not in NETWORK_SCHEMES:
-            return f"{self.scheme}://{self.target}{query}"
-        shown = hide_logins(self.target + query)
-        return shown if self.login is None else shown.replace("://", f"://{quote(self.login.user)}@", 1)
+            query = "&".join(f"{key}={value}" for key, value in self.query)
+            return f"{self.scheme}://{self.target}" + (f"?{query}" if query else "")
+        shown = hide_logins(self.target + (f"?{urlencode(self.query)}" if self.query else ""))
+        if self.login is None:
+            return shown
+        # A user without a password is a token.
+        user = quote(self.login.user) if self.login.password else "…"
+        return shown.replace("://", f"://{user}@", 1)
 
     def path(self, base: Path | None) -> Path:
         """The target as a file; relative paths start at `base`, the folder of the config."""

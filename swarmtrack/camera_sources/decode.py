@@ -46,6 +46,8 @@ def decode_raw(data: memoryview, form: RawImage, *, grey: bool, stretch: Stretch
     if layout.planes > 1:
         if grey:
             return np.array(lines[:height])
+        if layout.apart and stride > used:
+            lines = np.concatenate((lines[:height], _chroma_lines(data, form)))
         return np.asarray(cv2.cvtColor(np.ascontiguousarray(lines), layout.to_bgr), np.uint8)
     pixels = lines.reshape(height, width, layout.bytes_per_pixel)
     if layout.luma is None:
@@ -59,7 +61,7 @@ def decode_raw(data: memoryview, form: RawImage, *, grey: bool, stretch: Stretch
 class RawLayout(NamedTuple):
     """Layout of an uncompressed format. bytes_per_pixel: of the first plane; to_bgr: OpenCV's conversion, -1 for none;
     luma: which byte of a pixel is its luma, None where none is; paired: two pixels share a colour; planes: 3 halves
-    where the colour stands in planes below.
+    where the colour stands in planes below; apart: U and V in planes of their own, with lines of half the stride.
     """
 
     bytes_per_pixel: int
@@ -67,6 +69,7 @@ class RawLayout(NamedTuple):
     luma: int | None = None
     paired: bool = False
     planes: int = 1
+    apart: bool = False
 
 
 RAW_FORMATS = {
@@ -76,11 +79,24 @@ RAW_FORMATS = {
     "YVYU": RawLayout(2, cv2.COLOR_YUV2BGR_YVYU, 0, paired=True),
     "NV12": RawLayout(1, cv2.COLOR_YUV2BGR_NV12, paired=True, planes=3),
     "NV21": RawLayout(1, cv2.COLOR_YUV2BGR_NV21, paired=True, planes=3),
+    "YU12": RawLayout(1, cv2.COLOR_YUV2BGR_I420, paired=True, planes=3, apart=True),
+    "YV12": RawLayout(1, cv2.COLOR_YUV2BGR_YV12, paired=True, planes=3, apart=True),
     "BGR3": RawLayout(3),
     "RGB3": RawLayout(3, cv2.COLOR_RGB2BGR),
+    "BGR4": RawLayout(4, cv2.COLOR_BGRA2BGR),
     "Y16": RawLayout(2),
 }
 """By V4L2's names."""
+JPEG_FORMATS = ("MJPG", "JPEG")
+
+
+def _chroma_lines(data: memoryview, form: RawImage) -> Image:
+    """Planes of U and V without padding, (height / 2, width) bytes."""
+    _, width, height, stride = form
+    if stride % 2:
+        raise BadImage(f"{stride} bytes a line, expected an even number")
+    planes = np.frombuffer(data, np.uint8, height * stride // 2, offset=height * stride)
+    return np.ascontiguousarray(planes.reshape(height, stride // 2)[:, : width // 2]).reshape(-1, width)
 
 
 def _lines(data: memoryview, used: int, height: int, stride: int) -> Image:

@@ -2,18 +2,19 @@
 
 Nothing is sent before the server asks, so a camera that takes digest never sees the password. aiohttp's middleware
 makes the digest. It looks at the first challenge only, and many cameras offer basic first: here the digest's challenge
-is picked from all of them.
+is picked from all of them, in lines of their own or in one.
 """
 
 from __future__ import annotations
 
-from base64 import b64encode
 from typing import TYPE_CHECKING, Any, cast
 
 import aiohttp
 from aiohttp import hdrs
 from multidict import CIMultiDict, CIMultiDictProxy
 from yarl import URL
+
+from swarmtrack.camera_sources.challenges import basic, challenges_of, schemes_of
 
 if TYPE_CHECKING:
     from aiohttp.client_middlewares import ClientHandlerType
@@ -56,8 +57,9 @@ class LoginMiddleware:
             if response.status != 401:
                 return response
             response.release()
-            challenges = response.headers.getall(hdrs.WWW_AUTHENTICATE, [])
-            self.schemes = tuple(each.split(maxsplit=1)[0].lower() for each in challenges if each.strip())
+            lines = response.headers.getall(hdrs.WWW_AUTHENTICATE, [])
+            challenges = challenges_of(lines)
+            self.schemes = schemes_of(challenges)
             digest = next((each for each in challenges if each.lower().startswith("digest")), "none")
             return cast(aiohttp.ClientResponse, _Challenged(response, digest))
 
@@ -67,5 +69,5 @@ class LoginMiddleware:
         if "digest" in self.schemes or ("basic" not in self.schemes and self.schemes):
             return response.response
         # Some cameras answer 401 and name no scheme: they mean basic.
-        request.headers[hdrs.AUTHORIZATION] = f"Basic {b64encode(':'.join(self._login).encode()).decode()}"
+        request.headers[hdrs.AUTHORIZATION] = basic(self._login)
         return await handler(request)

@@ -10,10 +10,9 @@ the clocks differ.
 from __future__ import annotations
 
 import asyncio
-import logging
 import os
-from collections.abc import Awaitable, Callable
-from dataclasses import dataclass, replace
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -27,10 +26,8 @@ from swarmtrack.messages import LinkStatus, StampKind
 if TYPE_CHECKING:
     import aiohttp
 
-log = logging.getLogger(__name__)
-
 HINTS = {
-    401: ": give user and password, http://USER:PASSWORD@HOST/…",
+    401: ": give user and password, {scheme}://USER:PASSWORD@HOST/…",
     403: ": check user, password and their rights",
     404: ": check the path",
 }
@@ -57,6 +54,14 @@ class NetworkOptions(StreamOptions):
     resize: bool = False
 
 
+def refusal(scheme: str, status: int, reason: str, asked: Sequence[str] | None) -> str:
+    """Sentence on a server's answer that is no stream. asked: for which schemes of login, None where none is given."""
+    hint = HINTS.get(status, "").format(scheme=scheme)
+    if status == 401 and asked is not None:
+        hint = f": user or password is not accepted (asked for: {', '.join(asked) or 'no known scheme'})"
+    return f"{'RTSP' if scheme == 'rtsp' else 'HTTP'} {status} {reason}{hint}"
+
+
 Read = Callable[["aiohttp.ClientResponse"], Awaitable[None]]
 
 
@@ -73,19 +78,18 @@ class Exposure(NamedTuple):
 
 
 class HttpStream:
-    """received: images (or lines, or other items) since the start; bad_stamps: of these, see above."""
+    """received: images (or lines, or other items) since the start."""
 
     def __init__(
         self, url: str, options: StreamOptions, clock: Clock, slot: NewestSlot[Any], login: Login | None
     ) -> None:
         self.received = 0
-        self.bad_stamps = 0
         self._url = url
         self._options = options
         self._clock = clock
         self._slot = slot
         self._login = login
-        self._stamps = StampClock(clock, same_machine=False)
+        slot.source.stamps = StampClock(clock, same_machine=False)
         self._task: asyncio.Task[None] | None = None
 
     def start(self, read: Read) -> None:
@@ -96,13 +100,7 @@ class HttpStream:
         await stop(self._task, self._slot)
 
     def status(self) -> LinkStatus:
-        status = self._slot.source.status()
-        text = (
-            f"{status.text}; stamps are not used: {self._stamps.problem}"
-            if self._stamps.problem
-            else status.text
-        )
-        return replace(status, text=text, counters=(*status.counters, ("bad_stamps", self.bad_stamps)))
+        return self._slot.source.status()
 
     async def _run(self, read: Read) -> None:
         """Connect, read, say why it broke, and again; until cancelled."""
@@ -127,13 +125,12 @@ class HttpStream:
                 try:
                     async with session.get(self._url) as response:
                         if response.status != 200:
-                            hint = HINTS.get(response.status, "")
-                            if response.status == 401 and login is not None:
-                                asked = ", ".join(login.schemes) or "no known scheme"
-                                hint = f": user or password is not accepted (asked for: {asked})"
-                            raise StreamEnded(f"HTTP {response.status} {response.reason}{hint}")
+                            asked = None if login is None else login.schemes
+                            scheme, reason = self._url.partition(":")[0], response.reason or ""
+                            raise StreamEnded(refusal(scheme, response.status, reason, asked))
                         self._slot.source.counts.reconnects += received > 0
-                        self._stamps = StampClock(self._clock, same_machine=_from_here(response))
+                        same_machine = _from_here(response)
+                        self._slot.source.stamps = StampClock(self._clock, same_machine=same_machine)
                         await read(response)
                     reason = "the server ended the stream"
                 except StreamEnded as ended:
@@ -157,15 +154,8 @@ class HttpStream:
         """Exposure time. stamp [s]: from the stream, NaN for an invalid one, None without one; arrived: on our
         clock.
         """
-        if stamp is not None:
-            known = not self._stamps.problem
-            if (found := self._stamps.exposure(stamp, arrived)) is not None:
-                return Exposure(StampKind.EXPOSURE, *found)
-            self.bad_stamps += 1
-            if known:
-                log.warning(
-                    "camera %s: stamps are not used: %s", self._slot.source.name, self._stamps.problem
-                )
+        if stamp is not None and (found := self._slot.source.exposure(stamp, arrived)) is not None:
+            return Exposure(StampKind.EXPOSURE, *found)
         options = self._options
         return Exposure(StampKind.ARRIVAL, arrived - 1e-3 * options.latency_ms, 1e-3 * options.sigma_ms)
 

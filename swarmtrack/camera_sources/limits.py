@@ -18,6 +18,8 @@ HTTP_STAMP_WINDOW_S = 2.0
 # and with a larger one no frame would be used (camera.max_age_s), whether by latency or by the clocks.
 HTTP_LEAST_AGE_S = (-0.005, 0.5)
 STAMPS_COMPARED = 20
+# A larger least age is that of a slow stream or of a clock that is behind; what is estimated in flight covers so much.
+STAMP_LATE_S = 0.15
 HTTP_MONOTONIC_SIGMA_S = 1e-3
 # Two machines synchronised over a radio link.
 HTTP_UTC_SIGMA_S = 5e-3
@@ -26,6 +28,8 @@ MAX_PART_BYTES, MAX_PART_HEADER_BYTES = 16 << 20, 16 << 10
 MOST_BOUNDARY_DASHES = 70
 # A shorter boundary occurs in images by chance, and is looked for with its dashes only.
 SHORT_BOUNDARY = 6
+# In front of a JPEG's scan; a camera writes ten.
+MOST_JPEG_SEGMENTS = 200
 RTSP_PORT = 554
 
 # Cameras that detect by themselves (`detection_stream`); of one frame, the best are kept, as many as our own detector
@@ -35,8 +39,11 @@ MAX_STREAMED_DETECTIONS = 64
 
 # V4L2 (`v4l2`): the kernel stamps when it handles the first packet or interrupt of a frame.
 KERNEL_STAMP_SIGMA_S = 1e-3
-# A stamp outside is of another clock, whatever its flags say.
-PLAUSIBLE_STAMP_AGE_S = (-0.1, 60.0)
+# Least age of a frame when the kernel gives it, as of HTTP: with another, the stamps are of another clock, whatever
+# their flags say. Where the exposure's start is stamped, a period at most is to be added.
+V4L2_LEAST_AGE_S = (-0.005, 0.5)
+# Frames that waited while the event loop stood still are that old at most.
+V4L2_STAMP_WINDOW_S = 60.0
 # Without a frame until it is reported: periods, and at least so long.
 CAMERA_SILENT_PERIODS, CAMERA_SILENT_AT_LEAST_S = 10, 0.5
 # Of silence: many USB cameras recover only so; the first frame may take them two.

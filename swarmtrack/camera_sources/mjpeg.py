@@ -57,27 +57,23 @@ class MjpegCamera:
     async def _read(self, response: aiohttp.ClientResponse) -> None:
         """Feed the slot until the stream breaks."""
         reader = MultipartReader(_boundary(response))
-        oversized, since = 0, self._clock.now()
+        oversized, since, other = 0, self._clock.now(), ""
         async for data in response.content.iter_any():
             now = self._clock.now()
             for part in reader.feed(data, now):
-                self._receive(part)
-                since = now
+                other = _is_no_picture(part)
+                if not other:
+                    self._receive(part)
+                    since = now
             self._slot.source.counts.corrupt += reader.oversized - oversized
             oversized = reader.oversized
             if now - since > self._patience:
-                self._slot.source.report(False, f"bytes come, but no picture: {reader.missing()}")
+                self._slot.source.report(False, f"bytes come, but no picture: {other or reader.missing()}")
             if reader.ended:
                 break
 
     def _receive(self, part: Part) -> None:
-        if not part.body:
-            return
         self._slot.source.report(True, "streaming")
-        kind = part.headers.get("content-type", "image/jpeg").partition(";")[0].strip().lower()
-        if not part.body.lstrip(JPEG_PADDING).startswith(JPEG_START) and not kind.startswith("image/"):
-            self._slot.source.damaged(f"a part of the stream is {kind}, expected image/jpeg")
-            return
         self._stream.received += 1
         sequence = self._stream.received
         text = part.headers.get("x-timestamp")
@@ -95,6 +91,16 @@ class MjpegCamera:
                 header_size=lambda: check_pixels(part.body),
             )
         )
+
+
+def _is_no_picture(part: Part) -> str:
+    """Why a part is not even a damaged picture, or empty."""
+    if not part.body.strip():
+        return "its parts are empty"
+    kind = part.headers.get("content-type", "image/jpeg").partition(";")[0].strip().lower()
+    if part.body.lstrip(JPEG_PADDING).startswith(JPEG_START) or kind.startswith("image/"):
+        return ""
+    return f"a part of the stream is {kind}, expected image/jpeg"
 
 
 def _number(text: str) -> float:

@@ -2,7 +2,8 @@
 
 Real servers announce boundaries with any number of dashes around them and send another, or announce none, send bare
 line feeds, no Content-Length or a wrong one, and may be joined in the middle of a part. So what is looked for is the
-boundary without its dashes; and where it does not come, the line that stands in front of an image's header.
+boundary without its dashes; and where it does not come, the line that stands in front of an image's header, or without
+any, the images themselves.
 """
 
 from __future__ import annotations
@@ -14,14 +15,17 @@ from swarmtrack.camera_sources.limits import (
     MAX_PART_BYTES,
     MAX_PART_HEADER_BYTES,
     MOST_BOUNDARY_DASHES,
+    MOST_JPEG_SEGMENTS,
     SHORT_BOUNDARY,
 )
 
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 _DELIMITER_LINE = re.compile(
-    rb"(?:\A|\n)(-{0,8}[!-~][ -~]{0,70})\r?\n(?:[A-Za-z-]{1,40}:[^\r\n]{0,200}\r?\n){0,8}?Content-Type:[ \t]*image/",
+    rb"(?:\A|\n)(?![A-Za-z-]{1,40}:[ \t])(-{0,8}[!-~][ -~]{0,70})\r?\n"
+    rb"(?:[A-Za-z-]{1,40}:[^\r\n]{0,200}\r?\n){0,8}?(?:Content-Type:[ \t]*image/|Content-Length:[ \t]*\d)",
     re.IGNORECASE,
 )
+_BARE_START = JPEG_START + b"\xff"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +50,7 @@ class MultipartReader:
         self._headers: dict[str, str] | None = None  # of the part whose body is being read
         self._searched = 0  # bytes of the body that hold no delimiter
         self._has_parts = False
+        self._is_bare = False  # images came without any delimiter
         self.garbage = 0
         self.oversized = 0
         self.ended = False  # the closing delimiter was seen
@@ -58,7 +63,7 @@ class MultipartReader:
         parts: list[Part] = []
         while not self.ended:
             if self._headers is None:
-                if not self._read_header():
+                if not self._read_header() and not self._add_bare_to(parts):
                     break
             elif (part := self._read_body(self._headers)) is not None:
                 parts.append(part)
@@ -97,7 +102,10 @@ class MultipartReader:
 
     def _learn(self) -> bool:
         """Take the line in front of an image's header as the delimiter, whatever was announced."""
-        found = None if self._has_parts else _DELIMITER_LINE.search(self._buffer)
+        if self._has_parts or self._is_bare:
+            return False
+        # What came before was searched then, but for a header that came in part.
+        found = _DELIMITER_LINE.search(self._buffer, max(0, self._old - MAX_PART_HEADER_BYTES))
         if found is None:
             return False
         dashes, core = len(found[1]) - len(found[1].lstrip(b"-")), found[1].strip(b"-")
@@ -120,6 +128,8 @@ class MultipartReader:
             # It may have come in part.
             kept = MAX_PART_HEADER_BYTES if not self._has_parts else len(self._core) + MOST_BOUNDARY_DASHES
             at = max(0, len(self._buffer) - kept)
+            if not self._has_parts and (bare := self._buffer.find(_BARE_START)) >= 0:
+                at = bare
             self.garbage += len(self._buffer[:at].strip())
             self._drop(at)
             return False
@@ -154,6 +164,24 @@ class MultipartReader:
         self._drop(end + blank_length)
         return True
 
+    def _add_bare_to(self, parts: list[Part]) -> bool:
+        """Add the image at the start of the buffer, where there are no delimiters; False: more bytes are needed."""
+        while not self._has_parts and self._buffer.startswith(_BARE_START):
+            scan = _scan_of(self._buffer)
+            if scan is None:
+                following = self._buffer.find(_BARE_START, len(JPEG_START))
+                self._drop(following if following >= 0 else len(self._buffer) - len(JPEG_START))
+                continue
+            if (end := self._buffer.find(JPEG_END, scan)) >= 0:
+                self._is_bare = True
+                parts.append(self._part({}, end + len(JPEG_END)))
+                return True
+            if len(self._buffer) <= MAX_PART_BYTES:
+                return False
+            self.oversized += 1
+            self._drop(len(self._buffer))
+        return False
+
     def _read_body(self, headers: dict[str, str]) -> Part | None:
         """The part if it is complete. A part that is thrown away leaves `_headers` None."""
         text = headers.get("content-length", "")
@@ -185,3 +213,20 @@ class MultipartReader:
         self._drop(length)
         self._headers = None
         return part
+
+
+def _scan_of(jpeg: bytearray) -> int | None:
+    """Where the scan of a JPEG begins, or its end where it has not come; None: it is no JPEG.
+
+    Thumbnails, which have an end of their own, stand in segments in front of it.
+    """
+    at = len(JPEG_START)
+    for _ in range(MOST_JPEG_SEGMENTS):
+        if at + 4 > len(jpeg):
+            return len(jpeg)
+        if jpeg[at] != 0xFF:
+            return None
+        if jpeg[at + 1] == 0xDA:
+            return at
+        at += 2 + int.from_bytes(jpeg[at + 2 : at + 4])
+    return None

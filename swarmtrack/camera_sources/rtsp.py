@@ -21,6 +21,7 @@ from swarmtrack.camera_sources.address import CameraAddress, read_options, serve
 from swarmtrack.camera_sources.frame_slot import FrameSlot, RawFrame, already
 from swarmtrack.camera_sources.http_stream import NetworkOptions
 from swarmtrack.camera_sources.limits import CAMERA_FIRST_BACKOFF_S, CAMERA_LONGEST_BACKOFF_S, RTSP_PORT
+from swarmtrack.camera_sources.rtsp_answer import why_no_video
 from swarmtrack.camera_sources.thread_camera import ThreadCamera
 from swarmtrack.camera_sources.video import open_video
 from swarmtrack.clock import Clock
@@ -35,7 +36,8 @@ class RtspCamera(ThreadCamera):
     ) -> None:
         del base  # a URL is never relative to the config
         self._options = read_options(address, NetworkOptions)
-        self._url = with_login(server_url(address, NetworkOptions), address.login)
+        self._url = server_url(address, NetworkOptions)
+        self._login = address.login
         self._clock = clock
         super().__init__(FrameSlot(str(address), clock, size, self._options.resize))
 
@@ -72,7 +74,7 @@ class RtspCamera(ThreadCamera):
         """The opened stream, or None and why not."""
         parts = urlsplit(self._url)
         where = (parts.hostname or "", parts.port or RTSP_PORT)
-        # OpenCV says only that it failed. Whether the machine is there at all can be asked first.
+        # OpenCV reports only that it failed. Whether the machine is there at all can be asked first.
         try:
             socket.create_connection(where, timeout=self._options.timeout_s).close()
         except OSError as error:
@@ -81,11 +83,11 @@ class RtspCamera(ThreadCamera):
             return None, "closed"
         limit_ms = int(1e3 * self._options.timeout_s)
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
-        capture = open_video(self._url, limits)
+        capture = open_video(with_login(self._url, self._login), limits)
         if capture.isOpened():
             return capture, ""
         capture.release()
-        return None, f"{where[0]} port {where[1]} answers, but gives no video: check path, user and password"
+        return None, why_no_video(where, self._url, self._login, self._options.timeout_s)
 
     def _stream(self, capture: cv2.VideoCapture, sequence: int, tell: Callable[..., None]) -> int:
         """Feed the slot until the stream breaks; returns the next sequence."""

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmtrack.camera_sources.limits import CAMERA_RATE_WINDOW_S
+from swarmtrack.camera_sources.stamp_clock import StampClock
 from swarmtrack.clock import Clock
 from swarmtrack.messages import LinkStatus
-from swarmtrack.plain_text import plain
+from swarmtrack.plain_text import hide_logins, plain
 
 log = logging.getLogger(__name__)
 
@@ -30,10 +31,15 @@ class Counts:
 
 
 class SourceStatus:
-    """Status of one source, which reports each frame's outcome; all on the event loop."""
+    """Status of one source, which reports each frame's outcome; all on the event loop.
+
+    stamps: judges those of the present connection, None where a source has none.
+    """
 
     def __init__(self, name: str, clock: Clock) -> None:
         self.counts = Counts()
+        self.stamps: StampClock | None = None
+        self._bad_stamps = 0
         self.name = plain(name)
         self._clock = clock
         self._ok, self._text = False, "not opened yet"
@@ -50,10 +56,21 @@ class SourceStatus:
 
     def report(self, ok: bool, text: str) -> None:
         """Set the one line about this source; logged when it changes, not when it is repeated."""
-        text = plain(text)
+        text = plain(hide_logins(text))
         if (ok, text) != (self._ok, self._text):
             log.log(logging.INFO if ok else logging.WARNING, "camera %s: %s", self.name, text)
         self._ok, self._text = ok, text
+
+    def exposure(self, stamp: float, arrived: float) -> tuple[float, float] | None:
+        """As of `stamps`, which must be set. Counts the stamps that are not used, and logs the reason of the first."""
+        assert self.stamps is not None
+        known = self.stamps.problem
+        found = self.stamps.exposure(stamp, arrived)
+        if found is None:
+            self._bad_stamps += 1
+            if not known:
+                log.warning("camera %s: stamps are not used: %s", self.name, self.stamps.problem)
+        return found
 
     def given(self, t: float, t_sigma: float) -> None:
         """Count a frame delivered to the consumer. t: its exposure, t_sigma: that time's uncertainty."""
@@ -66,7 +83,7 @@ class SourceStatus:
 
     def refuse(self, text: str) -> None:
         """Report the reason of a rejected frame until one is accepted."""
-        text = plain(text)
+        text = plain(hide_logins(text))
         if text != self._trouble:
             log.warning("camera %s: %s", self.name, text)
         self._trouble = text
@@ -76,7 +93,7 @@ class SourceStatus:
         self.counts.corrupt += 1
         now = self._clock.now()
         if self._last_given is None or now - self._last_given > CAMERA_RATE_WINDOW_S:
-            text = plain(f"{what}; the last: {reason}")
+            text = plain(hide_logins(f"{what}; the last: {reason}"))
             if not self._trouble:
                 log.warning("camera %s: %s", self.name, text)
             self._trouble = text
@@ -93,6 +110,11 @@ class SourceStatus:
             ages = (("age_p50_ms", p50), ("age_p95_ms", p95), ("t_sigma_ms", 1e3 * self._t_sigma))
             if self._ok and p50 >= 0.0:  # below: the frames of a recording set the clock, and have no age
                 text += f", age {p50:.0f} ms"
+        stamps: tuple[tuple[str, float], ...] = ()
+        if self.stamps is not None:
+            stamps = (("bad_stamps", self._bad_stamps),)
+            doubt = f"; {self.stamps.doubt}" if self.stamps.doubt else ""
+            text += f"; stamps are not used: {self.stamps.problem}" if self.stamps.problem else doubt
         counts = self.counts
         numbers = (
             ("fps", fps),
@@ -105,6 +127,7 @@ class SourceStatus:
             ("wrong_size", counts.wrong_size),
             ("reconnects", counts.reconnects),
             *ages,
+            *stamps,
         )
         return LinkStatus(name=self.name, ok=self._ok and not self._trouble, text=text, counters=numbers)
 

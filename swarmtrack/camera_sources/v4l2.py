@@ -33,7 +33,7 @@ from pathlib import Path
 
 from swarmtrack.camera_sources import v4l2_abi as abi
 from swarmtrack.camera_sources.address import CameraAddress, in_range, read_options
-from swarmtrack.camera_sources.decode import RAW_FORMATS, RawImage, decode_jpeg, decode_raw
+from swarmtrack.camera_sources.decode import JPEG_FORMATS, RAW_FORMATS, RawImage, decode_jpeg, decode_raw
 from swarmtrack.camera_sources.frame_slot import BadImage, FrameSlot, Freshness, RawFrame
 from swarmtrack.camera_sources.limits import (
     CAMERA_FIRST_BACKOFF_S,
@@ -43,9 +43,13 @@ from swarmtrack.camera_sources.limits import (
     CAMERA_SILENT_PERIODS,
     DEFAULT_FRAME_PERIOD_S,
     KERNEL_STAMP_SIGMA_S,
-    PLAUSIBLE_STAMP_AGE_S,
+    STAMP_LATE_S,
+    STAMPS_COMPARED,
+    V4L2_LEAST_AGE_S,
+    V4L2_STAMP_WINDOW_S,
 )
 from swarmtrack.camera_sources.newest_slot import start, stop
+from swarmtrack.camera_sources.stamp_clock import StampBounds, StampClock
 from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
@@ -53,8 +57,24 @@ from swarmtrack.messages import Frame, Image, LinkStatus, StampKind
 from swarmtrack.plain_text import plain
 
 # What we decode, best first: JPEG must be decompressed, and of 16 bits the camera's own 8 are better stretched.
-FORMATS = ("GREY", "YUYV", "UYVY", "YVYU", "NV12", "NV21", "MJPG", "BGR3", "RGB3", "Y16")
-assert set(FORMATS) == {*RAW_FORMATS, "MJPG"}
+FORMATS = (
+    "GREY",
+    "YUYV",
+    "UYVY",
+    "YVYU",
+    "NV12",
+    "NV21",
+    "YU12",
+    "YV12",
+    "MJPG",
+    "JPEG",
+    "BGR3",
+    "RGB3",
+    "BGR4",
+    "Y16",
+)
+assert set(FORMATS) == {*RAW_FORMATS, *JPEG_FORMATS}
+CONVERT = "have another program convert it and serve it as rtsp:// or http:// (GStreamer, MediaMTX)"
 LIBCAMERA_DRIVERS = ("unicam", "rp1-cfe")
 
 
@@ -178,6 +198,16 @@ class CaptureSession:
         self._freshness = Freshness(capture.period, depth=len(capture.maps))
         self._flowing = False
         self._empty = 0
+        low, high = V4L2_LEAST_AGE_S
+        # The first may have waited while the detector was loaded.
+        bounds = StampBounds(
+            low,
+            STAMP_LATE_S + capture.period,
+            high + capture.period,
+            V4L2_STAMP_WINDOW_S,
+            credit=STAMPS_COMPARED - 1,
+        )
+        slot.source.stamps = StampClock(clock, same_machine=True, utc=False, bounds=bounds)
         self._lost: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
     async def run(self) -> str:
@@ -249,9 +279,11 @@ class CaptureSession:
             self._flowing = True
             self._slot.source.report(True, self._capture.description)
         if buffer.flags & abi.BUF_FLAG_ERROR or buffer.bytesused == 0:
-            self._slot.source.counts.corrupt += 1
+            self._slot.source.damaged(
+                "marked as damaged by the driver" if buffer.bytesused else "an empty buffer"
+            )
             return None
-        stamp, t, t_sigma = exposure_time(buffer, now, self._capture.period, self._options.exposure_us)
+        stamp, t, t_sigma = self._exposure(buffer, now)
         if stamp is not StampKind.ARRIVAL and self._freshness.is_stale(t, self.sequence, now):
             self._slot.source.counts.stale += 1
             return None
@@ -265,6 +297,14 @@ class CaptureSession:
             release=lambda: self._capture.requeue(index),
         )
 
+    def _exposure(self, buffer: abi.Buffer, now: float) -> tuple[StampKind, float, float]:
+        """As `exposure_time`; the time of arrival where the stamp is on another clock."""
+        period = self._capture.period
+        t = kernel_stamp(buffer)
+        if t is None or self._slot.source.exposure(t, now) is None:
+            return StampKind.ARRIVAL, now, period
+        return exposure_time(t, buffer.flags, period, self._options.exposure_us)
+
     def _count(self, camera_sequence: int) -> None:
         step = 1
         if self._camera_sequence is not None:
@@ -277,20 +317,22 @@ class CaptureSession:
         self.received += 1
 
 
-def exposure_time(
-    buffer: abi.Buffer, now: float, period: float, exposure_us: float | None
-) -> tuple[StampKind, float, float]:
-    """(kind of stamp, middle of the exposure [s], its sigma [s]) of a dequeued buffer."""
-    t = buffer.timestamp.tv_sec + 1e-6 * buffer.timestamp.tv_usec
+def kernel_stamp(buffer: abi.Buffer) -> float | None:
+    """Stamp of a dequeued buffer [s], None where it is not on CLOCK_MONOTONIC by the driver's own word."""
     monotonic = buffer.flags & abi.BUF_FLAG_TIMESTAMP_MASK == abi.BUF_FLAG_TIMESTAMP_MONOTONIC
-    if not monotonic or not PLAUSIBLE_STAMP_AGE_S[0] < now - t < PLAUSIBLE_STAMP_AGE_S[1]:
-        return StampKind.ARRIVAL, now, period
+    return buffer.timestamp.tv_sec + 1e-6 * buffer.timestamp.tv_usec if monotonic else None
+
+
+def exposure_time(
+    t: float, flags: int, period: float, exposure_us: float | None
+) -> tuple[StampKind, float, float]:
+    """(kind of stamp, middle of the exposure [s], its sigma [s]) of a buffer with stamp t [s]."""
     half_exposure = 0.5e-6 * exposure_us if exposure_us is not None else 0.0
     sigma = KERNEL_STAMP_SIGMA_S
     if exposure_us is None:
         # It lies anywhere between none and a period, its middle between none and half of one.
         sigma = math.hypot(sigma, period / 2 / 12**0.5)
-    if buffer.flags & abi.BUF_FLAG_TSTAMP_SRC_MASK == abi.BUF_FLAG_TSTAMP_SRC_SOE:
+    if flags & abi.BUF_FLAG_TSTAMP_SRC_MASK == abi.BUF_FLAG_TSTAMP_SRC_SOE:
         return StampKind.EXPOSURE, t + half_exposure, sigma
     # The end of the frame comes after exposure *and* readout, and the readout, up to a period, is nobody's to know.
     # Its mean is a constant: `camera.time_offset_s` of the calibration takes it.
@@ -334,7 +376,7 @@ class Capture:
             data = memoryview(self.maps[index])[:bytes_used]
         except (IndexError, ValueError):
             raise BadImage("the camera was closed before it was decoded") from None
-        if self.fourcc == "MJPG":
+        if self.fourcc in JPEG_FORMATS:
             return decode_jpeg(data, grey)
         return decode_raw(
             data, RawImage(self.fourcc, *self.size, self.stride), grey=grey, stretch=self._stretch
@@ -408,7 +450,9 @@ def _expect_capture_node(path: str, capability: abi.Capability) -> None:
     card = _card(capability)
     if not flags & abi.CAP_VIDEO_CAPTURE:
         if flags & abi.CAP_VIDEO_CAPTURE_MPLANE:
-            raise CameraUnavailable(f"{path} ({card}) captures multi-planar only, which is not supported")
+            raise CameraUnavailable(
+                f"{path} ({card}) captures multi-planar only, which is not supported: {CONVERT}"
+            )
         raise CameraUnavailable(
             f"{path} ({card}) captures no video; cameras often have a second node for metadata, {_nodes(path)}"
         )
@@ -439,8 +483,7 @@ def _set_format(path: str, fd: int, wanted: tuple[str, ...], size: tuple[int, in
         advice = (
             f"add {readable[0]} to fourcc= in the address"
             if readable
-            else "select another mode of the camera, or have another program convert it and serve it as rtsp:// or "
-            "http:// (GStreamer, MediaMTX)"
+            else f"select another mode of the camera, or {CONVERT}"
         )
         raise CameraUnavailable(
             f"{path} offers {', '.join(offered) or 'no format'}, expected one of {', '.join(wanted)}: {advice}"

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from swarmtrack.camera_sources.address import CameraAddress, in_range, nearest, read_options
+from swarmtrack.camera_sources.container_end import is_complete
 from swarmtrack.camera_sources.edit_list import edited_duration_s
 from swarmtrack.camera_sources.limits import (
     DEEP_BITS,
@@ -145,15 +146,20 @@ class VideoFile:
 
     def ending(self, pictures: int) -> tuple[bool, str]:
         """Fewer frames than the header announces need not be damage: the file may be trimmed by an edit list, or have a
-        varying rate, and its header a duration only. So the file itself is asked, without decoding.
+        varying rate, and its header only a duration, which may be that of the sound. So the file itself is asked,
+        without decoding.
         """
         good, lost = pictures - self._unreadable, self._unreadable
+        complete = is_complete(self._path)
+        if complete is False:
+            return False, f"ended after {good} frames: the file is cut off there, its end is missing"
         # The header's count is off by one in honest files.
         if 0 < good < self.announced - 1:
             there, last_s = _packets(self._path)
             slack = END_SLACK_PERIODS * self.period
             shown_s = min(self._header_s, edited_duration_s(self._path) or self._header_s)
-            if there < self.announced - 1 and max(last_s, self._last_s) + slack < shown_s:
+            too_short = there < self.announced - 1 and max(last_s, self._last_s) + slack < shown_s
+            if too_short and not complete:
                 return (
                     False,
                     f"ended after {good} of {self.announced} frames: the rest of the file cannot be read",
@@ -194,10 +200,13 @@ def _packets(path: Path) -> tuple[int, float]:
 
 
 def _has_no_times(path: Path) -> bool:
-    """Whether a file is a bare stream of H.264, H.265 (NAL units) or JPEGs."""
+    """Whether a file is a bare stream of H.264, H.265 (NAL units) or JPEGs. Those of MPEG-2 and MPEG-4 hold a rate; the
+    codes that they begin with are no NAL unit's, whose first bit is 0.
+    """
     with path.open("rb") as file:
-        head = file.read(4)
-    return head.startswith((b"\0\0\0\1", b"\0\0\1", b"\xff\xd8"))
+        head = file.read(5)
+    is_nal = head.startswith((b"\0\0\0\1", b"\0\0\1")) and head.lstrip(b"\0")[1:2] < b"\x80"
+    return is_nal or head.startswith(b"\xff\xd8")
 
 
 def _is_grey(pixels: int) -> bool:

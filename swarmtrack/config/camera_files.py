@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.config.camera_tables import AGAIN, EQUIDISTANT, CameraTable, LensNumbers
+from swarmtrack.config.camera_tables import EQUIDISTANT, MOUNTING, CameraTable, LensNumbers
 from swarmtrack.config.camera_text import OpencvMatrix, read_table, shown
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
@@ -48,6 +48,7 @@ WIDTH_KEYS = ("image_width", "image_Width", "imageWidth", "width")
 HEIGHT = ("image_height", "image_Height", "imageHeight", "height")
 SIZE = ("image_size", "imageSize", "resolution", "img_size")
 BROWN_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+CHOOSE = "correct camera.calibration_camera"
 OAK_SOCKETS = "ABCDEFGH"
 OAK_KINDS = {"0": "radtan", "1": "equidistant"}
 
@@ -89,13 +90,13 @@ def load_calibration(path: str | Path, camera: str | None = None) -> Calibration
     if file.has("cam0_calib"):
         file.refuse(
             "cam0_calib",
-            "names another file, expected the calibration itself: give that file as camera.calibration",
+            "names another file, expected the calibration itself",
+            "give that file as camera.calibration",
         )
     tools = ", ".join(dict.fromkeys(dialect.tool for dialect in CALIBRATION_DIALECTS))
     file.refuse(
         "",
-        f"only the keys {shown(file.table)}, expected a calibration of {tools}; swarmtrack calibrate intrinsics "
-        "makes one",
+        f"only the keys {shown(file.table)}, expected a calibration of {tools}",
     )
 
 
@@ -105,16 +106,16 @@ def _choose(file: CameraTable, names: Sequence[str], camera: str | None) -> str:
     if not names:
         file.refuse("", "holds no camera, expected one at least")
     if camera is None and len(names) > 1:
-        file.refuse("", f"{len(names)} cameras ({listed}), expected calibration_camera to name one")
+        file.refuse("", f"{len(names)} cameras ({listed}), expected calibration_camera to name one", "")
     if camera is not None and camera not in names:
-        file.refuse("", f"cameras {listed}, expected one named {camera!r}")
+        file.refuse("", f"cameras {listed}, expected one named {camera!r}", CHOOSE)
     return camera or names[0]
 
 
 def _only(file: CameraTable, calibration: Calibration, camera: str | None) -> Calibration:
     """The only camera of a file, which may be asked for by its name."""
     if camera is not None and camera != calibration.name:
-        file.refuse("", f"one camera, named {calibration.name!r}, expected one named {camera!r}")
+        file.refuse("", f"one camera, named {calibration.name!r}, expected one named {camera!r}", CHOOSE)
     return calibration
 
 
@@ -137,7 +138,9 @@ def _kalibr(file: CameraTable) -> Calibration:
     poses = list(given.values())
     if len(poses) == 2 and not np.allclose((poses[0].inverse() @ poses[1]).rotation, np.eye(3), atol=1e-2):
         file.refuse(
-            "T_imu_cam", "not the inverse of T_cam_imu, expected only one of the two, or both consistent"
+            "T_imu_cam",
+            "not the inverse of T_cam_imu, expected only one of the two, or both consistent",
+            MOUNTING,
         )
     shift = file.number("timeshift_cam_imu") if file.has("timeshift_cam_imu") else None
     name = file.prefix.removesuffix(".") or file.path.stem
@@ -146,7 +149,9 @@ def _kalibr(file: CameraTable) -> Calibration:
 
 
 def _euroc_or_kalibr(file: CameraTable, camera: str | None) -> Calibration:
-    """sensor.yaml of a camera of the EuRoC MAV data set, ASL format; or a camera of Kalibr's by itself."""
+    """sensor.yaml of a camera of the EuRoC MAV data set, ASL format; or a camera of Kalibr's by itself, or by hand."""
+    if isinstance(by_hand := file.table["intrinsics"], dict) and "fx" in by_hand:
+        return _flat_file(CameraTable(file.path, {**file.table, **by_hand}), camera)
     if file.has("camera_model") and not file.has("T_BS"):
         return _only(file, _kalibr(file), camera)
     lens, notes = file.camera(_listed(file, "distortion_coefficients"))
@@ -241,7 +246,9 @@ def _size(file: CameraTable) -> tuple[int, int]:
     width, height = file.find(WIDTH_KEYS), file.find(HEIGHT)
     if width is None or height is None:
         file.refuse(
-            WIDTH_KEYS[0], "missing, expected the width and height of the images it was calibrated with"
+            WIDTH_KEYS[0],
+            "missing, expected the width and height of the images it was calibrated with",
+            "add a line with each",
         )
     return file.size(width, height)
 
@@ -337,9 +344,7 @@ def _vins(file: CameraTable, camera: str | None) -> Calibration:
         projection, focal, centre = "omni", ("gamma1", "gamma2"), ("u0", "v0")
         shape = (file.inner("mirror_parameters").number("xi"),)
     elif kind not in ("pinhole", "pinhole_full"):
-        file.refuse(
-            "model_type", f"{kind!r} is not supported, expected PINHOLE, KANNALA_BRANDT or MEI: {AGAIN}"
-        )
+        file.refuse("model_type", f"{kind!r} is not supported, expected PINHOLE, KANNALA_BRANDT or MEI")
     lens, notes = file.camera(
         LensNumbers(
             _pair(places, focal),
@@ -380,12 +385,12 @@ def _orb_slam(file: CameraTable, camera: str | None) -> Calibration:
     if kind not in models:
         file.refuse(
             "Camera.type",
-            f"{kind!r} is not supported, expected PinHole, KannalaBrandt8 or Rectified: {AGAIN}",
+            f"{kind!r} is not supported, expected PinHole, KannalaBrandt8 or Rectified",
         )
     for key in ("Camera.width", "Camera.height"):
         if not file.has(key):
             file.refuse(
-                key, "missing, expected the size of the images it was calibrated with: add a line with it"
+                key, "missing, expected the size of the images it was calibrated with", "add a line with it"
             )
     order = ("k1", "k2", "k3", "k4") if models[kind] == "equidistant" else BROWN_NAMES
     numbers = None if kind == "rectified" else _named(file, order, f"{name}.")
@@ -429,9 +434,7 @@ def _basalt(file: CameraTable, camera: str | None) -> Calibration:
     entry = CameraTable(file.path, {f"intrinsics[{i}]": lenses[i]}, whole.prefix).inner(f"intrinsics[{i}]")
     kind = entry.text("camera_type")
     if kind not in BASALT_LENSES:
-        entry.refuse(
-            "camera_type", f"{kind!r} is not supported, expected {', '.join(BASALT_LENSES)}: {AGAIN}"
-        )
+        entry.refuse("camera_type", f"{kind!r} is not supported, expected {', '.join(BASALT_LENSES)}")
     projection, shape_keys, model, keys = BASALT_LENSES[kind]
     numbers = entry.inner("intrinsics")
     size = CameraTable(file.path, {"resolution": sizes[i]}, whole.prefix)
@@ -451,7 +454,7 @@ def _basalt(file: CameraTable, camera: str | None) -> Calibration:
         place = CameraTable(file.path, {f"T_imu_cam[{i}]": poses[i]}, whole.prefix).inner(f"T_imu_cam[{i}]")
         q = np.array([place.number(key) for key in ("qw", "qx", "qy", "qz")])
         if not abs(float(np.linalg.norm(q)) - 1.0) < 1e-3:
-            place.refuse("qw", f"norm of the quaternion is {np.linalg.norm(q):.3g}, expected 1")
+            place.refuse("qw", f"norm of the quaternion is {np.linalg.norm(q):.3g}, expected 1", MOUNTING)
         pose = Pose(
             rotation.from_quaternion(q / np.linalg.norm(q)),
             np.array([place.number(key) for key in ("px", "py", "pz")]),
@@ -476,7 +479,7 @@ def _oak(file: CameraTable, camera: str | None) -> Calibration:
     entry = CameraTable(file.path, {name: found[name]}, "cameraData.").inner(name)
     kind = entry.text("cameraType", "0")
     if kind not in OAK_KINDS:
-        entry.refuse("cameraType", f"{kind}, expected 0 (perspective) or 1 (fisheye): {AGAIN}")
+        entry.refuse("cameraType", f"{kind}, expected 0 (perspective) or 1 (fisheye)")
     focal, centre = _of_matrix(entry, "intrinsicMatrix")
     numbers = entry.numbers("distortionCoeff")
     numbers = numbers[:4] if kind == "1" else numbers
@@ -524,7 +527,8 @@ def _flat(file: CameraTable, name: str) -> Calibration:
             keys=("fx", "camera_model", model_key, key),
         )
     )
-    return Calibration(lens, name=name, source_format="realsense", notes=notes)
+    lens, applied = _delivered(file, lens)
+    return Calibration(lens, name=name, source_format="realsense", notes=(*notes, *applied))
 
 
 CALIBRATION_DIALECTS = (

@@ -30,9 +30,18 @@ OTHER_SIZE = (
     0.8  # times the image's middle, in both axes alike: a principal point there is another image's middle
 )
 ALIKE = 0.15  # share by which the two axes may differ then
+# Sizes (width, height) px in which cameras deliver images: of one sensor, many are a part of it, or another's scaled.
+COMMON_SIZES_PX = (
+    (320, 240), (424, 240), (640, 360), (640, 400), (640, 480), (752, 480), (800, 600), (848, 480), (960, 540),
+    (960, 720), (1024, 768), (1280, 720), (1280, 800), (1280, 960), (1280, 1024), (1456, 1088), (1600, 1200),
+    (1640, 1232), (1920, 1080), (1920, 1200), (2028, 1520), (2048, 1536), (2560, 1440), (2592, 1944), (3840, 2160),
+)  # fmt: skip
+OFF_MIDDLE = 0.1  # logarithm of a ratio of sides: real principal points are rarely further off
+FAR_NEARER = 0.25  # times the distance to the own size: so near, another size is meant
 AGAIN = (
     "calibrate again with swarmtrack calibrate intrinsics, or with Kalibr's pinhole-radtan or pinhole-equi"
 )
+MOUNTING = "correct it, or remove it and write the mounting as camera.body_from_camera"
 
 RADTAN = (
     "radtan",
@@ -92,9 +101,11 @@ class CameraTable:
     table: dict[str, Any]
     prefix: str = ""
 
-    def refuse(self, key: str, text: str) -> NoReturn:
+    def refuse(self, key: str, text: str, step: str = AGAIN) -> NoReturn:
+        """Raise CalibrationError. text: what was found and expected; step: what to do next, or empty."""
         place = f"{self.prefix}{key}" if key else self.prefix.removesuffix(".")
-        raise CalibrationError(f"{self.path}: {place}: {text}" if place else f"{self.path}: {text}")
+        where = f"{self.path}: {place}" if place else str(self.path)
+        raise CalibrationError(f"{where}: {text}: {step}" if step else f"{where}: {text}")
 
     def has(self, key: str) -> bool:
         return self.table.get(key) is not None
@@ -123,7 +134,7 @@ class CameraTable:
         value = self.table.get(key)
         if value is None:
             self.refuse(key, "missing, expected numbers")
-        entries = value.get("data") if isinstance(value, dict) else value
+        entries = value.get("data", value) if isinstance(value, dict) else value
         try:
             # PyYAML reads 1e-05 (no dot) as a string: float() takes it all the same.
             rows: list[Any] = entries if isinstance(entries, list) else [entries]
@@ -154,16 +165,17 @@ class CameraTable:
         T = self.numbers(key, (4, 4), (3, 4))
         R, position = T[:3, :3], T[:3, 3]
         if len(T) == 4 and not np.allclose(T[3], [0, 0, 0, 1], atol=1e-9):
-            self.refuse(key, f"last row {T[3].tolist()}, expected [0, 0, 0, 1]")
+            self.refuse(key, f"last row {T[3].tolist()}, expected [0, 0, 0, 1]", MOUNTING)
         with np.errstate(all="ignore"):
             if not is_rotation(R, ROTATION_TOLERANCE):
                 if np.linalg.det(R) < 0.0:
                     text = f"det R = {np.linalg.det(R):.3f}, a reflection, expected a rotation (+1): an axis is flipped"
-                    self.refuse(key, text)
+                    self.refuse(key, text, MOUNTING)
                 error = np.abs(R @ R.T - np.eye(3)).max()
                 self.refuse(
                     key,
                     f"rows of R are off orthonormal by {error:.2g}, expected at most {ROTATION_TOLERANCE}",
+                    MOUNTING,
                 )
         u, _, vt = np.linalg.svd(R)
         return Pose(u @ vt, position)
@@ -184,20 +196,26 @@ class CameraTable:
         try:
             return self._lens(said, lens)
         except ValueError as error:
-            self.refuse(intrinsics, f"make no camera ({error}), expected those of a real one: {AGAIN}")
+            self.refuse(intrinsics, f"make no camera ({error}), expected those of a real one")
 
     def _check_middle(self, said: LensNumbers) -> None:
-        """Whether the principal point is the middle of an image of another size."""
+        """Whether the principal point is the middle of an image of another size: one scaled, cut at two sides, or with
+        width and height exchanged.
+        """
         cx, cy = said.centre
         width, height = said.size
-        x, y = 2.0 * (cx + 0.5) / width, 2.0 * (cy + 0.5) / height
-        if abs(x / y - 1.0) < ALIKE and (max(x, y) < OTHER_SIZE or min(x, y) > 1.0 / OTHER_SIZE):
+        meant = 2.0 * (cx + 0.5), 2.0 * (cy + 0.5)
+        x, y = meant[0] / width, meant[1] / height
+        is_scaled = abs(x / y - 1.0) < ALIKE and (max(x, y) < OTHER_SIZE or min(x, y) > 1.0 / OTHER_SIZE)
+        off = _size_distance(meant, said.size)
+        other = min(_size_distance(meant, size) for size in ((height, width), *COMMON_SIZES_PX))
+        if is_scaled or (off > OFF_MIDDLE and other < FAR_NEARER * off):
             self.refuse(
                 said.keys[0],
                 f"principal point ({cx:g}, {cy:g}) in an image of {width} x {height}, the middle of one of "
-                f"{2 * cx:.0f} x {2 * cy:.0f}; expected numbers and size of the same image: correct the size, or "
-                "calibrate again with the images that the drone will use (a lens that is really so far off its "
-                "image's middle can be written inline, as camera.intrinsics)",
+                f"{2 * cx:.0f} x {2 * cy:.0f}; expected numbers and size of the same image",
+                "correct the size, or calibrate again with the images that the drone will use (a lens that is really "
+                "so far off its image's middle can be written inline, as camera.intrinsics)",
             )
 
     def _lens(self, said: LensNumbers, lens: ImagePlane) -> tuple[PinholeCamera, tuple[str, ...]]:
@@ -207,12 +225,12 @@ class CameraTable:
         if said.projection not in PROJECTIONS:
             self.refuse(
                 projection,
-                f"{said.projection!r} is not supported, expected {', '.join(PROJECTIONS)}: {AGAIN}",
+                f"{said.projection!r} is not supported, expected {', '.join(PROJECTIONS)}",
             )
         if model not in KNOWN_DISTORTIONS:
             self.refuse(
                 model_key,
-                f"{model!r} is not supported, expected radtan (plumb_bob), equidistant or fov: {AGAIN}",
+                f"{model!r} is not supported, expected radtan (plumb_bob), equidistant or fov",
             )
         for number, (name, least, most) in zip(
             said.shape, PROJECTION_NUMBERS.get(said.projection, ()), strict=True
@@ -238,7 +256,7 @@ class CameraTable:
             self.refuse(
                 projection if not direct else model_key,
                 f"{words} is {fitted.worst_px:.2g} px off the nearest {ours} one, expected at most "
-                f"{MOST_FIT_ERROR_PX:g} px: {AGAIN}",
+                f"{MOST_FIT_ERROR_PX:g} px",
             )
         return fitted.camera, (f"{words} is read as {ours}, within {fitted.worst_px:.2g} px",)
 
@@ -316,3 +334,8 @@ class CameraTable:
                 return foreign_lenses.double_sphere(xi, alpha)
             case _:
                 return foreign_lenses.pinhole
+
+
+def _size_distance(a: tuple[float, float], b: tuple[float, float]) -> float:
+    """How far the sides of two images are apart, by the logarithms of their ratios."""
+    return math.hypot(math.log(a[0] / b[0]), math.log(a[1] / b[1]))

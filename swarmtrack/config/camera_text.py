@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 
 import yaml
 
+from swarmtrack.config.camera_tables import AGAIN
 from swarmtrack.errors import CalibrationError
 from swarmtrack.plain_text import plain
 
@@ -50,16 +51,18 @@ def read_table(path: Path) -> Table:
         raise CalibrationError(f"{path}: cannot be read ({reason}), expected a YAML file") from None
     if len(raw) > MAX_CAMERA_FILE_BYTES:
         raise CalibrationError(
-            f"{path}: larger than {MAX_CAMERA_FILE_BYTES // 1024} KiB, expected a calibration in YAML"
+            f"{path}: larger than {MAX_CAMERA_FILE_BYTES // 1024} KiB, expected a calibration in YAML: {AGAIN}"
         )
     form, read = _reader(text)
     try:
         table = read(text)
     except _NotUnderstood as error:
         place = "" if error.line is None else f":{error.line}"
-        raise CalibrationError(f"{path}{place}: {plain(str(error), 200)}, expected valid {form}") from None
+        raise CalibrationError(
+            f"{path}{place}: {plain(str(error), 200)}, expected valid {form}: {AGAIN}"
+        ) from None
     if not isinstance(table, dict) or not table:
-        raise CalibrationError(f"{path}: no keys in it, expected a calibration in {form}")
+        raise CalibrationError(f"{path}: no keys in it, expected a calibration in {form}: {AGAIN}")
     return table
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from swarmtrack.detection import metadata
+from swarmtrack.detection.export_advice import HOW_TO_SET_HEAD, HOW_TO_SET_NAMES, next_step
 from swarmtrack.detection.readings import (
     HEAD_FORMATS,
     HEADS,
@@ -29,8 +30,6 @@ from swarmtrack.relative.box_width import BoxWidth
 FOREIGN_THRESHOLD = 0.25  # of nets that tell none: what Ultralytics' own predictor takes
 DRONE_CLASS_NAMES = ("drone", "uav", "quadcopter", "quadrotor", "multirotor", "multicopter")
 LOOK_ALIKES = ("bird", "airplane", "aeroplane", "plane", "helicopter", "kite", "balloon")
-
-HOW_TO_SAY = "detector.head, or --head of swarmtrack video"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +169,7 @@ def _recognised(path: str, trial: Trial, declared: Declared) -> Description:
     if not declared.names and (last := most_label(reading, trial)) > 0:
         raise ModelError(
             f"{path}: distinguishes {last + 1} classes at least and does not name them; list all of them, in their "
-            "order, in detector.names, or --names of swarmtrack video"
+            f"order, in {HOW_TO_SET_NAMES}"
         )
     names = declared.names or (("drone",) if classes == 1 else tuple(f"class_{i}" for i in range(classes)))
     stride = trial.input_size[0] // trial.shapes[0][-1] if reading.head == "centernet" else 1
@@ -188,35 +187,47 @@ def _reading(path: str, trial: Trial, classes: int | None, declared: Declared) -
     """The one reading of the outputs that fits. Raises `ModelError` where none does, or more than one."""
     fitting = readings(trial, classes)
     if declared.head is not None:
-        for reading in fitting:
-            if reading.head == declared.head:
-                return reading
-        others = f"; they fit {', '.join(reading.head for reading in fitting)}" if fitting else ""
-        raise _unknown(path, trial, classes, f"; as head {declared.head} they make no sense{others}")
+        asked = [reading for reading in fitting if reading.head == declared.head]
+        if len(asked) == 1:
+            return asked[0]
+        if not asked:
+            others = f"; they fit {', '.join(reading.head for reading in fitting)}" if fitting else ""
+            raise _unknown(
+                path, trial, classes, fitting, f"; as head {declared.head} they make no sense{others}"
+            )
+        fitting = asked
     against = {reading: contradiction(reading, trial, classes) for reading in fitting}
     good = [reading for reading, reason in against.items() if not reason]
     if len(good) == 1:
         return good[0]
+    if len({reading.head for reading in good}) == 1:
+        raise ModelError(
+            f"{path}: either of its outputs, {_shapes(trial)}, may hold the boxes; name them boxes and scores when you "
+            "export it (output_names of torch.onnx.export)"
+        )
     if good:
         ways = " or ".join(f"{reading.head} ({HEAD_FORMATS[reading.head]})" for reading in good)
         raise ModelError(
-            f"{path}: its outputs, {_shapes(trial)}, can be read in more than one way: as {ways}; set {HOW_TO_SAY}"
+            f"{path}: its outputs, {_shapes(trial)}, can be read in more than one way: as {ways}; set "
+            f"{HOW_TO_SET_HEAD}"
         )
-    reasons = "".join(f"; it is not {reading.head}: {reason}" for reading, reason in against.items())
-    raise _unknown(path, trial, classes, reasons)
+    reasons = dict.fromkeys(f"; it is not {reading.head}: {reason}" for reading, reason in against.items())
+    raise _unknown(path, trial, classes, fitting, "".join(reasons))
 
 
 def _shapes(trial: Trial) -> str:
     return ", ".join(str(shape) for shape in trial.shapes[:8]) or "none"
 
 
-def _unknown(path: str, trial: Trial, classes: int | None, more: str = "") -> ModelError:
+def _unknown(
+    path: str, trial: Trial, classes: int | None, fitting: Sequence[HeadReading], reasons: str
+) -> ModelError:
     width, height = trial.input_size
     known = "" if classes is None else f" and {classes} class{'es' if classes > 1 else ''}"
     return ModelError(
-        f"{path}: its outputs have no known format: {_shapes(trial)} for an input of {width}x{height}{known}{more}; "
-        f"known are {', '.join(f'{head} {form}' for head, form in HEAD_FORMATS.items())}; export it so, or set "
-        f"{HOW_TO_SAY} (and names, where the file has none)"
+        f"{path}: its outputs have no known format: {_shapes(trial)} for an input of {width}x{height}{known}{reasons}; "
+        f"known are {', '.join(f'{head} {form}' for head, form in HEAD_FORMATS.items())}; "
+        f"{next_step(trial, classes, fitting)}"
     )
 
 

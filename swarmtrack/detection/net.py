@@ -21,7 +21,7 @@ from swarmtrack.detection.readings import Trial
 from swarmtrack.errors import ModelError
 from swarmtrack.messages import Image
 
-TRIAL_SIZE = (192, 128)  # px, where the net's input may have any size: multiples of the coarsest stride
+TRIAL_SIZE = (256, 128)  # px, where the net's input may have any size: multiples of the coarsest stride
 
 
 class Seconds(NamedTuple):

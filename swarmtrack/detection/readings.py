@@ -8,18 +8,28 @@ scores and shares lie within 0 … 1, corners are in order. What is left undecid
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 HEADS = ("centernet", "yolo_v5", "yolo_v8", "end_to_end", "detr", "labelled_boxes")
-# px per cell of a YOLO's maps: the usual three, with a finer one (P2), with a coarser one (P6).
-STRIDES = ((8, 16, 32), (4, 8, 16, 32), (8, 16, 32, 64))
+# px per cell of a YOLO's maps P2 … P7. A net has two of them or more, adjacent, the finest P4 at the coarsest.
+ALL_STRIDES = (4, 8, 16, 32, 64, 128)
+STRIDES = tuple(ALL_STRIDES[i:j] for i in range(3) for j in range(i + 2, len(ALL_STRIDES) + 1))
+LIST_ROWS = (
+    100,
+    300,
+    500,
+    1000,
+)  # usual lengths of a list of candidates: no map, though some input has as many cells
 ANCHORS_V5 = 3  # boxes that YOLOv5 proposes in each cell
 SHARE_SLACK = 0.02  # beyond 0 … 1: rounding of half precision
 WHOLE_NUMBER_SLACK = 1e-3
 SMALLEST_PICTURE_PX = 2.0  # coordinates all within it are shares of an image, not pixels
+MOST_WRONG_CORNERS = 0.1  # of all scores: a faint box or two may be inside out
+SCORE_WORDS = ("score", "logit", "class", "label", "prob", "conf")  # in names of outputs that hold classes
 
 Shape = tuple[int, ...]
 Values = NDArray[Any]
@@ -150,34 +160,54 @@ def _yolo_v5(trial: Trial, classes: int | None) -> HeadReading | None:
     if found is None:
         return None
     at, (_, rows, columns) = found
-    fits = rows in {ANCHORS_V5 * count for count in _cell_counts(trial)} and columns > 5
-    return HeadReading("yolo_v5", (at,), columns - 5) if fits and classes in (None, columns - 5) else None
+    maps = {ANCHORS_V5 * count for count in _cell_counts(trial)}.difference(LIST_ROWS)
+    fits = rows in maps and columns > 5 and classes in (None, columns - 5)
+    return HeadReading("yolo_v5", (at,), columns - 5) if fits else None
 
 
-def _is_list(trial: Trial, rows: int) -> bool:
-    """Whether so many rows are a list of candidates: those of a map are as many as its cells."""
+def is_map(trial: Trial, rows: int) -> bool:
+    """Whether so many rows are the cells of a YOLO's maps rather than a list of candidates."""
     counts = _cell_counts(trial)
-    return rows not in counts | {ANCHORS_V5 * count for count in counts}
+    return rows not in LIST_ROWS and rows in counts | {ANCHORS_V5 * count for count in counts}
 
 
 def _end_to_end(trial: Trial, _: int | None) -> HeadReading | None:
     if len(trial.shapes) != 1 or len(trial.shapes[0]) != 3:
         return None
     batch, rows, columns = trial.shapes[0]
-    fits = batch == 1 and columns == 6 and _is_list(trial, rows)
+    fits = batch == 1 and columns == 6 and not is_map(trial, rows)
     return HeadReading("end_to_end", (0,), None) if fits else None
 
 
 def _detr(trial: Trial, classes: int | None) -> HeadReading | None:
-    shapes = trial.shapes
-    count = class_count("detr", shapes)
-    if count is None:
+    """Boxes and classes in one output: any table of five columns and more would fit, so the number of classes tells."""
+    count = class_count("detr", trial.shapes) if len(trial.shapes) == 1 else None
+    fits = count is not None and classes == count and not is_map(trial, trial.shapes[0][1])
+    return HeadReading("detr", (0,), count) if fits else None
+
+
+def _detr_pair(trial: Trial, classes: int | None, boxes: int) -> HeadReading | None:
+    """Boxes in one of two outputs, classes in the other; of four columns each, only their names may show which is
+    which. boxes: index of that with the boxes, 0 or 1.
+    """
+    order = (boxes, 1 - boxes)
+    if len(trial.shapes) != 2 or trial.shapes[boxes][2:] != (4,):
         return None
-    if len(shapes) == 1:
-        # Any table of five columns and more would fit.
-        fits = classes == count and _is_list(trial, shapes[0][1])
-        return HeadReading("detr", (0,), count) if fits else None
-    return HeadReading("detr", (0, 1), count) if classes is None or classes <= count else None
+    count = class_count("detr", [trial.shapes[i] for i in order])
+    if count is None or (classes is not None and classes > count):
+        return None
+    swapped = trial.shapes[0] == trial.shapes[1] and (
+        _is_named_score(trial, boxes) or _is_named_box(trial, 1 - boxes)
+    )
+    return None if swapped else HeadReading("detr", order, count)
+
+
+def _is_named_box(trial: Trial, i: int) -> bool:
+    return bool(trial.names) and "box" in trial.names[i].lower() and not _is_named_score(trial, i)
+
+
+def _is_named_score(trial: Trial, i: int) -> bool:
+    return bool(trial.names) and any(word in trial.names[i].lower() for word in SCORE_WORDS)
 
 
 def _labelled_boxes(trial: Trial, _: int | None) -> HeadReading | None:
@@ -204,7 +234,8 @@ def _is_label(trial: Trial, i: int) -> bool:
 
 
 _LOOKS: tuple[Callable[[Trial, int | None], HeadReading | None], ...] = (
-    _centernet, _yolo_v5, _yolo_v8, _end_to_end, _detr, _labelled_boxes
+    _centernet, _yolo_v5, _yolo_v8, _end_to_end, _detr, partial(_detr_pair, boxes=0), partial(_detr_pair, boxes=1),
+    _labelled_boxes,
 )  # fmt: skip
 
 # --- by values --------------------------------------------------------------------------------------------------------
@@ -230,8 +261,9 @@ def _about_boxes(boxes: Values) -> str:
 
 
 def _about_corners(corners: Values, scores: Values) -> str:
-    used = corners[scores > 0.0].astype(float)
-    if (used[:, 2:] < used[:, :2] - 1.0).any():
+    used, weights = corners[scores > 0.0].astype(float), scores[scores > 0.0].astype(float)
+    wrong = (used[:, 2:] < used[:, :2] - 1.0).any(axis=1)
+    if weights[wrong].sum() > MOST_WRONG_CORNERS * weights.sum():
         return "its corners are not in order"
     return _about_boxes(used)
 
@@ -261,12 +293,11 @@ def _check_labelled_boxes(outputs: Sequence[Values], names: int | None) -> str:
 
 
 def _check_detr(outputs: Sequence[Values], _: int | None) -> str:
-    boxes = outputs[0][0] if len(outputs) == 1 or outputs[0].shape[2] == 4 else outputs[1][0]
-    return "" if _within_one(boxes[:, :4]) else "its boxes are no shares of the image"
+    return "" if _within_one(outputs[0][0, :, :4]) else "its boxes are no shares of the image"
 
 
 _CHECKS: dict[str, Callable[[Sequence[Values], int | None], str]] = {
-    "centernet": lambda outputs, _: "",
+    "centernet": lambda outputs, _: _about_scores(outputs[0]),
     "yolo_v5": lambda outputs, _: _about_scores(outputs[0][0, :, 4:]) or _about_boxes(outputs[0][0, :, :4]),
     "yolo_v8": lambda outputs, _: _about_scores(outputs[0][0, 4:]) or _about_boxes(outputs[0][0, :4]),
     "end_to_end": _check_end_to_end,

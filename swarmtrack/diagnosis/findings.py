@@ -85,6 +85,12 @@ FAULTS: dict[str, Fault] = {
         "ping its host, open the address in a browser, and check port, path and password",
         {"rtsp": "ping its host, open the address in a player (ffplay, VLC), and check port, path and password"},
     ),
+    "camera.login": Fault(
+        F,
+        "the camera refuses the login: {reason}",
+        "write the camera's user and password into camera.source, SCHEME://USER:PASSWORD@HOST/PATH (docs/boards.md, a "
+        "camera by network), and check the user's rights in the camera's settings",
+    ),
     "camera.silent": Fault(
         F,
         "the camera is open but sent no frame in {seconds:.0f} s: {reason}",
@@ -133,9 +139,13 @@ FAULTS: dict[str, Fault] = {
     ),
     "camera.late": Fault(
         W,
-        "frames are {age_ms:.0f} ms old when they arrive",
+        "frames are {age_ms:.0f} ms old when they arrive{why}",
         "use fewer buffers, a faster encoder or a USB camera; below 100 ms, identities come sooner",
-        {"v4l2": "set a shorter exposure (exposure_us=) or a smaller size; below 100 ms, identities come sooner"},
+        {
+            "v4l2": "set a shorter exposure (exposure_us=) or a smaller size; below 100 ms, identities come sooner",
+            "http": "set the camera's clock (chrony); use fewer buffers, a faster encoder or a USB camera; below "
+            "100 ms, identities come sooner",
+        },
     ),
     "camera.slow": Fault(
         W,

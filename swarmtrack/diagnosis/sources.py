@@ -40,7 +40,11 @@ CAMERA_TROUBLES = (
     ("camera.missing", r"is not there|unplugged"),
     ("camera.forbidden", r"permission denied"),
     ("camera.busy", r": busy, held by"),
-    ("camera.unreachable", r"cannot connect|HTTP \d+|answers, but gives no video|ended the stream|^lost: "),
+    ("camera.login", r"(HTTP|RTSP) 40[13]\b"),
+    (
+        "camera.unreachable",
+        r"cannot connect|(HTTP|RTSP) \d+|answers, but gives no video|ended the stream|^lost: ",
+    ),
     ("camera.silent", r"waiting for the first frame|no frame for|no frame yet|nothing for|not opened yet"),
 )
 AUTOPILOT_TROUBLES = (
@@ -155,7 +159,8 @@ def check_camera(facts: CameraFacts) -> list[Finding]:
         return [fault("camera.stale", age_ms=age_ms, limit_s=facts.max_age_s)]
     findings = []
     if facts.live and age_ms > FRAME_LATE_MS:
-        findings.append(fault("camera.late", setting=kind, age_ms=age_ms))
+        why = re.search(r": the stream is late, or .*", text)
+        findings.append(fault("camera.late", setting=kind, age_ms=age_ms, why=why[0] if why else ""))
     got_hz = numbers.get("fps", 0.0)
     if facts.live and facts.asked_hz and 0.0 < got_hz < RATE_ENOUGH_SHARE * facts.asked_hz:
         findings.append(fault("camera.slow", got_hz=got_hz, asked_hz=facts.asked_hz))

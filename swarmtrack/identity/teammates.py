@@ -9,8 +9,9 @@ from swarmtrack.identity.own_clash import OwnClash
 from swarmtrack.identity.whereabouts import Whereabouts
 from swarmtrack.messages import Announcement, IdClash, Membership, PeerArrived, PeerDeparted, PeerExpelled
 
-# s after which a drone whose process is gone is no candidate any more.
-DEPARTED_S = 60.0
+# s after which a drone whose process is gone, and which no track was since, is no candidate any more. A radio that
+# parts a team may do so for minutes.
+DEPARTED_S = 300.0
 
 
 class Teammates:
@@ -22,7 +23,8 @@ class Teammates:
         self.own_clash = OwnClash(drone_id)
         self._drone_id = drone_id
         self._unannounced: set[int] = set()
-        self._departed: set[int] = set()
+        self._departed: dict[int, float | None] = {}
+        """By drone whose process is gone: since when it has had no track, s; None: not known yet."""
         self._clashing: dict[int, set[str]] = {}
         """By drone that several processes speak as: their boots."""
 
@@ -62,7 +64,7 @@ class Teammates:
         drone = event.drone_id
         match event:
             case PeerArrived():
-                self._departed.discard(drone)
+                self._departed.pop(drone, None)
                 if drone != self._drone_id and drone not in self.announced:
                     # Until it announces itself it may be any track.
                     self._unannounced.add(drone)
@@ -72,7 +74,7 @@ class Teammates:
             case PeerExpelled():
                 self.whereabouts.forget(drone)
                 self._unannounced.discard(drone)
-                self._departed.discard(drone)
+                self._departed.pop(drone, None)
             case PeerDeparted(boot=boot):
                 clash = self._clashing.get(drone, set())
                 clash.discard(boot)
@@ -83,11 +85,13 @@ class Teammates:
                 elif not clash:
                     # The drone is still where it is, and so, for a while, is its pose.
                     self._unannounced.discard(drone)
-                    self._departed.add(drone)
+                    self._departed[drone] = None
 
     def forget(self, t: float, named: Set[int]) -> None:
         """Drop the poses of drones that are long gone, unless a track has their name."""
-        for drone in self._departed - named:
-            if drone in self.announced and t - self.announced[drone].t > DEPARTED_S:
+        for drone, since in self._departed.items():
+            if since is None or drone in named:
+                self._departed[drone] = t
+            elif t - since > DEPARTED_S:
                 self.whereabouts.forget(drone)
-        self._departed &= self.announced.keys()
+        self._departed = {drone: since for drone, since in self._departed.items() if drone in self.announced}

@@ -62,6 +62,13 @@ def fault_in_words(fault: OwnFault) -> str:
             return f"we stand where drone {fault.pad_of} is stated to start"
 
 
+def warning(event: object) -> str:
+    """What people are warned of; empty for what goes as it should."""
+    if not isinstance(event, News) or (isinstance(event, HeadingNews) and not event.doubt):
+        return ""
+    return describe(event)
+
+
 def describe(news: News) -> str:
     match news:
         case HeadingNews(step=step, doubt=doubt) if step and doubt:

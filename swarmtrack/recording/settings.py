@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from swarmtrack import __version__
+from swarmtrack.camera_sources.address import NETWORK_SCHEMES, parse_address
 from swarmtrack.config.drone import DISTORTIONS, DroneConfig, MountedCamera, config_of, mount_camera
 from swarmtrack.config.toml.layers import Layer, Layers, Table, merge
 from swarmtrack.errors import ConfigError, RecordingError
@@ -81,7 +82,8 @@ def versions() -> dict[str, str]:
 
 
 def attachments(settings: FlightSettings) -> tuple[Attachment, ...]:
-    """The config files as written, the config with all defaults, and the numbers of the cameras and of the start."""
+    """The config files as written, the config with all defaults (both without logins), and the numbers of the cameras
+    and of the start."""
     start = settings.start
     first, *others = map(_camera_record, settings.cameras)
     calibration = {
@@ -90,12 +92,29 @@ def attachments(settings: FlightSettings) -> tuple[Attachment, ...]:
         "box_width": None if settings.box_width is None else asdict(settings.box_width),
         **({"other_cameras": others} if others else {}),
     }
+    resolved = _without_logins(settings.config.model_dump(mode="json", by_alias=True))
     layers = settings.config.layers
     return (
-        _json(CONFIG, layers.table if layers else settings.config.model_dump(mode="json", by_alias=True)),
-        _json(RESOLVED, settings.config.model_dump(mode="json", by_alias=True)),
+        _json(CONFIG, _without_logins(layers.table) if layers else resolved),
+        _json(RESOLVED, resolved),
         _json(CALIBRATION, calibration),
     )
+
+
+def _without_logins(table: Table) -> Table:
+    """The config with its cameras' addresses as people are shown them: recordings are handed on."""
+    cameras = table.get("camera", {})
+    if not isinstance(cameras, list):
+        return {**table, "camera": _shown(cameras, 1)}
+    return {**table, "camera": [_shown(camera, number) for number, camera in enumerate(cameras, start=1)]}
+
+
+def _shown(camera: Table, number: int) -> Table:
+    address = parse_address(str(camera["source"]))
+    if address.scheme not in NETWORK_SCHEMES:
+        return camera
+    # Two cameras of one address are refused: what is hidden of the second bears its number.
+    return {**camera, "source": str(address).replace("…", f"…{number}" if number > 1 else "…")}
 
 
 def read_settings(

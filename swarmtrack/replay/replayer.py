@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
 from swarmtrack.follower import LocalSetpoint
-from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, TrackList
+from swarmtrack.messages import Detections, Frame, ImuSample, Input, PoseWanted, ScanReport, TrackList
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
@@ -25,6 +25,7 @@ from swarmtrack.runtime.perception import make_follower, make_onboard
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
+    from swarmtrack.onboard import Output
 
 ANSWER_EVERY = 10
 REPLAYED_FRAMES_KEPT = 64  # read, and their detections not met yet
@@ -96,6 +97,8 @@ class Replayed:
     setpoints_compared: Stream = NO_STREAM
     """What a drone that flew in formation was told to fly."""
     setpoints: list[LocalSetpoint] = field(default_factory=list)
+    news: list[tuple[float, Output]] = field(default_factory=list)
+    """Whatever else came of it, each with the seconds of flight until then."""
     digest: str = ""
     """Of all scans replayed: equal digests, equal flights."""
     refused: int = 0
@@ -149,6 +152,7 @@ class Replayer:
         self._setpoints = _Compared()
         self._hash = hashlib.blake2b(digest_size=16)
         self._last_n = 0
+        self._elapsed = 0.0
         self._frames: dict[tuple[int, int], Frame] = {}
         """By camera, and by the frame's number."""
 
@@ -163,6 +167,7 @@ class Replayer:
         for message in self._recording.messages(self._topics):
             first = message.log_time_ns if first is None else first
             last = message.log_time_ns
+            self._elapsed = (last - first) * 1e-9
             try:
                 self._take(message)
             except RecordingError:
@@ -236,6 +241,8 @@ class Replayer:
                 self._note(self._scans, digest, event.tracks.t)
                 self._note(self._states, outputs.relative_digest(event.tracks), event.tracks.t)
                 self._hash.update(digest.encode())
+            elif not isinstance(event, PoseWanted):
+                self._result.news.append((self._elapsed, event))
 
     def _note(self, stream: _Compared, digest: str, t: float) -> None:
         stream.replayed.append(digest)

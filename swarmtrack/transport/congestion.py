@@ -4,7 +4,8 @@ Keep-alives go over TCP or TLS in every mesh, several times in each lease, so th
 the time. Where it is much longer than the shortest one of the last minutes, packets wait somewhere: most likely in the
 radio. The kernel reports a running mean; two means give the sample between them. In a full radio every packet waits. A
 lost answer looks late as well, but not every one, so the shortest of the last few counts, and of the links at one
-address of ours the shortest: they have the same radio. Bytes that TCP itself could not send yet are reported too.
+address of ours the shortest: they have the same radio. Two more signs are reported apart, because losses alone give
+them, too: how long an answer has been due, and bytes that TCP itself could not send yet.
 
 A link that is QUIC alone (to routers) gives no statistics, and neither does a system other than Linux.
 """
@@ -14,13 +15,14 @@ from __future__ import annotations
 import socket
 import struct
 from collections import deque
-from collections.abc import Collection, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from swarmtrack.transport.limits import (
     CONGESTION_SAMPLES,
     PACKETS_LATE_S,
     PACKETS_LATE_SHARE,
+    PACKETS_QUEUED_S,
     PACKETS_UNSENT_BYTES,
     ROUND_TRIP_MEAN_WEIGHT,
     SIGN_OF_LIFE_S,
@@ -45,19 +47,30 @@ class Sent(NamedTuple):
 
 
 class Waiting(NamedTuple):
-    """Queues. delay_s: excess of the round trip over the shortest, on the link of the worst address where it is least;
-    round_trip_s: the shortest there. unsent: bytes, on the worst link.
+    """Queues, of the worst address, on the link there where each is least. delay_s: excess of the measured round trips
+    over the shortest; unsent: bytes; round_trip_s: the shortest; silent_s: since an answer is due.
     """
 
     delay_s: float
     unsent: int
     round_trip_s: float = 0.0
+    silent_s: float = 0.0
 
     @property
     def is_late(self) -> bool:
-        """Whether packets wait for longer than usual."""
+        """Whether packets wait for longer than usual, or are lost."""
+        return self.is_measured_late or self.silent_s > PACKETS_LATE_S
+
+    @property
+    def is_measured_late(self) -> bool:
+        """Whether packets that were answered, or that TCP could not send yet, waited for longer than usual."""
         usual = max(PACKETS_LATE_S, PACKETS_LATE_SHARE * self.round_trip_s)
         return self.delay_s > usual or self.unsent > PACKETS_UNSENT_BYTES
+
+    @property
+    def is_queue(self) -> bool:
+        """Whether it is a queue that was measured, and not merely answers that were lost."""
+        return self.delay_s > PACKETS_QUEUED_S or self.unsent > PACKETS_UNSENT_BYTES
 
     def is_shorter(self, other: Waiting, share: float) -> bool:
         """Whether packets wait for less than this share of another time, in all that was too much then."""
@@ -86,12 +99,23 @@ class Congestion:
                 )
                 delays.append(max(0.0, last - sent.min_rtt_s))
             self._means[name] = sent.rtt_s
-        late: dict[str, list[tuple[float, float]]] = {}
+        at: dict[str, list[Waiting]] = {}
         for name, sent in links.items():
-            delay = max(min(self._delays[name]), sent.unanswered_s - SIGN_OF_LIFE_S)
-            late.setdefault(sent.own, []).append((delay, sent.min_rtt_s))
-        delay_s, round_trip_s = max(map(min, late.values()), default=(0.0, 0.0))
-        return Waiting(delay_s, max((sent.unsent for sent in links.values()), default=0), round_trip_s)
+            silent_s = max(0.0, sent.unanswered_s - SIGN_OF_LIFE_S)
+            at.setdefault(sent.own, []).append(
+                Waiting(min(self._delays[name]), sent.unsent, sent.min_rtt_s, silent_s)
+            )
+        radios = [_fieldwise(min, each) for each in at.values()]
+        return _fieldwise(max, radios) if radios else Waiting(0.0, 0)
+
+
+def _fieldwise(choose: Callable[..., Any], all_of_them: Sequence[Waiting]) -> Waiting:
+    """choose: min or max; it chooses the wait and its usual round trip together."""
+    waiting: Waiting = choose(all_of_them)
+    return waiting._replace(
+        unsent=choose(each.unsent for each in all_of_them),
+        silent_s=choose(each.silent_s for each in all_of_them),
+    )
 
 
 def look_at_links(ends: Collection[str]) -> dict[str, Sent]:

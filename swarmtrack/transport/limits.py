@@ -74,6 +74,9 @@ ROUND_TRIP_MEAN_WEIGHT: Final = 8
 PACKETS_LATE_S: Final = 0.25
 # And this share of the shortest round trip: a long way varies more.
 PACKETS_LATE_SHARE: Final = 0.5
+# Where every answer takes so much longer than the shortest, half of the time, packets queue. With two fifths lost the
+# quickest of several links takes a twentieth of a second.
+PACKETS_QUEUED_S: Final = 0.1
 # That TCP could not send yet: a quarter of a second of 64 kbit/s.
 PACKETS_UNSENT_BYTES: Final = 2048
 # Between two cuts: until the first is felt. And what is left of the rate.
@@ -89,6 +92,8 @@ PACE_TRIAL_LEAST_S, PACE_TRIAL_S = 2.0, 4.0
 PACE_TRIAL_OVER, PACE_TRIAL_SHORTER = 0.5, 0.8
 # What no packet waits for but in a queue; and times the least, what is low.
 PACE_DEEP_QUEUE_S, PACE_LOW = 1.0, 1.5
+# Nothing is answered in a whole trial, by the median of its second half.
+PACE_MUTE_S: Final = 2.5
 # After a trial that shortened nothing, until the next; twice as long after each further one, so many times.
 PACE_TRIAL_REST_S: Final = 15.0
 PACE_TRIAL_BACK_OFFS: Final = 4

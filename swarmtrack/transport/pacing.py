@@ -36,6 +36,7 @@ from swarmtrack.transport.limits import (
     PACE_LEAST_BYTES_PER_S,
     PACE_LEAST_HZ,
     PACE_LOW,
+    PACE_MUTE_S,
     PACE_QUICK_GROWTH,
     PACE_TRIAL_BACK_OFFS,
     PACE_TRIAL_HZ,
@@ -132,8 +133,9 @@ class Pacing:
         return True
 
     def begin(self) -> None:
-        """A subscriber appeared, or a link was lost."""
-        self._rate = min(self._rate, self._least)
+        """A subscriber appeared, or a link was lost. Where a trial was in vain not long ago, losses end links."""
+        if self._looked_at is None or self._looked_at >= self._vain_until:
+            self._rate = min(self._rate, self._least)
 
     def adjust(self, waiting: Waiting, now: float) -> None:
         """Adapt the rate to the queues. To be called a few times per second."""
@@ -165,7 +167,9 @@ class Pacing:
         if now - trial.since < (PACE_TRIAL_LEAST_S if over else PACE_TRIAL_S):
             return
         self._trial = None
-        if over or usual.delay_s > PACE_DEEP_QUEUE_S or usual.is_shorter(trial.worst, PACE_TRIAL_SHORTER):
+        is_deep = usual.delay_s > PACE_DEEP_QUEUE_S or usual.silent_s > PACE_MUTE_S
+        is_quicker = over or usual.is_shorter(trial.worst, PACE_TRIAL_SHORTER)
+        if is_deep or (is_quicker and trial.worst.is_queue):
             self._worst, self._low_since = trial.worst, now
             self._cut(self._least, now)
         else:
@@ -194,15 +198,13 @@ class Pacing:
             statistics.median(each.delay_s for each in self._recent),
             int(statistics.median(each.unsent for each in self._recent)),
             waiting.round_trip_s,
+            statistics.median(each.silent_s for each in self._recent),
         )
 
     def _is_vain(self, waiting: Waiting, now: float) -> bool:
         """Whether a trial was in vain not long ago, and things are not much worse."""
-        return (
-            now < self._vain_until
-            and self._vain is not None
-            and not self._vain.worst.is_shorter(waiting, 1.0 / PACE_WORSE)
-        )
+        is_worse = self._vain is not None and self._vain.worst.is_shorter(waiting, 1.0 / PACE_WORSE)
+        return now < self._vain_until and not (waiting.is_measured_late and is_worse)
 
     def _cut(self, sent: float, now: float) -> None:
         self._cut_at, self._growth = now, PACE_CAREFUL_GROWTH

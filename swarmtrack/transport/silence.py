@@ -174,10 +174,12 @@ class Silence:
         wait, and words may be among them."""
         here = set(present)
         silent = self.silent(here, now)
-        if silent.keys() != here or now - self._reopened_at < REOPEN_REST_S:
-            return []
         bearable = REOPEN_LEASES * self._patience_s * (QUEUE_PATIENCE if queued else 1.0)
-        deaf = sorted(d for d, s in silent.items() if s > bearable and self._reopening.allows(d, now))
+        # One that is silent for good, and a short silence of all others, are not yet a session without a word.
+        is_deaf = silent.keys() == here and all(s > bearable for s in silent.values())
+        if not is_deaf or now - self._reopened_at < REOPEN_REST_S:
+            return []
+        deaf = sorted(d for d in silent if self._reopening.allows(d, now))
         if deaf:
             self._reopening.spend(deaf, now)
             self._reopened_at = now

@@ -206,3 +206,53 @@ async def test_all_of_a_real_flight_is_imported_when_its_computers_clock_is_set(
     assert kept.poses[-1].t == pytest.approx(1000.0 + lasts, abs=0.03)
     assert np.diff([sample.t for sample in kept.imu]).max() < 0.02
     assert "was set by" in caplog.text
+
+
+USELESS_STAMPS = {
+    "zero": lambda t: bytes(8),
+    "all equal": lambda t: round(1e6 * UTC).to_bytes(8, "big"),
+    "milliseconds": lambda t: round(1e3 * (UTC + t)).to_bytes(8, "big"),
+    "little-endian": lambda t: round(1e6 * (UTC + t)).to_bytes(8, "little"),
+    "two by turns": lambda t: round(1e6 * (UTC + 3600.0 * (int(1e3 * t) % 2))).to_bytes(8, "big"),
+}
+
+
+@pytest.mark.parametrize("stamp", USELESS_STAMPS.values(), ids=USELESS_STAMPS)
+def test_where_the_stamps_do_not_advance_as_time_does_the_autopilot_tells_all_times(stamp):
+    frames, told = flight(60.0), []
+    data = b"".join(stamp(t) + frame for t, frame in frames)
+    found = list(records(data, on_useless=lambda: told.append(True)))
+    assert told == [True]
+    assert [frame for _, frame in found] == [frame for _, frame in frames]
+    assert [t for t, _ in found] == pytest.approx([t for t, _ in frames], abs=0.08)
+
+
+@pytest.mark.parametrize("speed", [0.2, 1.0, 10.0])
+def test_a_simulation_may_be_slower_or_faster_than_time(speed):
+    frames = [(t / speed, frame) for t, frame in flight(30.0)]
+    told = []
+    found = list(records(tlog(frames), on_useless=lambda: told.append(True)))
+    assert [t - UTC for t, _ in found] == pytest.approx([t for t, _ in frames], abs=1e-5)
+    assert told == []
+
+
+def test_what_a_radio_had_held_back_at_the_beginning_is_no_useless_stamp():
+    frames = [(max(t, 10.0), frame) for t, frame in flight(17.0)]
+    told = []
+    list(records(tlog(frames), on_useless=lambda: told.append(True)))
+    assert told == []
+
+
+async def test_of_a_clock_that_leaps_all_the_time_the_first_steps_are_said_and_the_autopilot_tells(
+    tmp_path, caplog
+):
+    frames, path = flight(300.0), tmp_path / "flight.tlog"
+    path.write_bytes(tlog([(t + 3600.0 * (int(t) % 2 and t > 20.0), frame) for t, frame in frames]))
+    autopilot, kept = MavlinkAutopilot(f"tlog:{path}?speed=0", clock=ManualClock(1000.0)), Listener()
+    await autopilot.run(kept)
+    assert len(kept.poses) == 6000
+    assert kept.poses[-1].t == pytest.approx(1300.0, abs=0.5)
+    said = [record.message for record in caplog.records if "was set" in record.message]
+    assert len(said) == 4
+    assert said[-1].endswith("that clock was set 100 times in all")
+    assert "those of its autopilot are used from here on" in caplog.text

@@ -24,6 +24,7 @@ from support.streams import (
     jpeg,
     nothing_comes_but,
     part,
+    repeating,
     sending,
     stream_server,
 )
@@ -160,12 +161,7 @@ async def test_nobody_there_and_somebody_silent_are_told_apart(server: StreamSer
 
 
 async def test_bytes_without_a_picture_are_a_state_of_their_own(server: StreamServer) -> None:
-    async def script(send: Send) -> None:
-        while True:
-            await send(b"nothing to be seen here\r\n" * 10)
-            await asyncio.sleep(0.02)
-
-    server.script = script
+    server.script = repeating(b"nothing to be seen here\r\n" * 10)
     camera = open_camera(server.url + "?timeout_s=0.5", clock=SystemClock())
     words = 'bytes come, but no picture: no line holds the boundary "frame"'
     await nothing_comes_but(words, camera, camera.frames())
@@ -175,16 +171,29 @@ async def test_bytes_without_a_picture_are_a_state_of_their_own(server: StreamSe
     ("body", "kind", "words"),
     [
         (b"no jpeg", "image/jpeg", "no picture can be read from them; the last: not a JPEG"),
-        (b"<html>", "text/html", "the last: a part of the stream is text/html, expected image/jpeg"),
+        (b"<html>", "text/html", "no picture: a part of the stream is text/html, expected image/jpeg"),
+        (b"", "image/jpeg", "bytes come, but no picture: its parts are empty"),
     ],
 )
-async def test_pictures_that_cannot_be_read_are_a_state_of_their_own(
+async def test_parts_that_are_no_pictures_are_a_state_of_their_own(
     server: StreamServer, body: bytes, kind: str, words: str
 ) -> None:
-    server.script = sending(*[part(body).replace(b"image/jpeg", kind.encode())] * 3)
-    camera = open_camera(server.url, clock=SystemClock())
+    server.script = repeating(part(body).replace(b"image/jpeg", kind.encode()))
+    camera = open_camera(server.url + "?timeout_s=0.5", clock=SystemClock())
     await nothing_comes_but(words, camera, camera.frames())
-    assert counters(camera)["corrupt"] >= 1
+    assert (counters(camera)["corrupt"] > 0) == (body == b"no jpeg")
+
+
+async def test_what_comes_between_pictures_is_not_counted_as_damage(
+    server: StreamServer, caplog: pytest.LogCaptureFixture
+) -> None:
+    text = part(b"hello").replace(b"image/jpeg", b"text/plain")
+    server.script = repeating(text + part(jpeg(50)) + part(b""))
+    camera = open_camera(server.url, clock=SystemClock())
+    assert len(await first(3, camera.frames())) == 3
+    assert counters(camera)["corrupt"] == 0
+    assert caplog.messages == [message for message in caplog.messages if "streaming" in message]
+    await camera.close()
 
 
 @pytest.mark.parametrize(
@@ -292,11 +301,49 @@ def test_boundaries_are_found_as_cameras_write_them(boundary: str, delimiter: st
     assert bodies(stream.replace(b"\r\n", b"\n"), [], boundary)[0][:3] == BODIES[0][:3]
 
 
+@pytest.mark.parametrize("boundary", ["", "other"])
+@pytest.mark.parametrize(
+    "between", [b"", b"\r\n", b"\0\0", b"\r\n--frame\r\n\r\n", b"\r\n--frame\r\nX-A: 1\r\n\r\n"]
+)
+@pytest.mark.parametrize("step", [7, 100, 10_000])
+def test_images_are_found_without_any_header(boundary: str, between: bytes, step: int) -> None:
+    small = BODIES[0]
+    thumbnail = b"\xff\xe1" + (len(small) + 2).to_bytes(2) + small
+    pictures = [body[:2] + thumbnail + body[2:] for body in BODIES]
+    stream = b"".join(between + picture for picture in (b"\xff\xd8\xff\xe0\0\2 none", *pictures))
+    cuts = list(range(0, len(stream), step))
+    assert [body.rstrip(b"\r\n\0") for body in bodies(stream, cuts, boundary)] == pictures
+
+
+@pytest.mark.parametrize("step", [7, 10_000])
+def test_a_boundary_is_learnt_from_a_part_that_tells_its_length_only(step: int) -> None:
+    parts = (part(body).replace(b"Content-Type: image/jpeg", b"X-Timestamp: 5") for body in BODIES)
+    stream = b"".join(parts).replace(b"--frame", b"--other")
+    reader, found = MultipartReader("frame"), []
+    for start in range(0, len(stream), step):
+        found += reader.feed(stream[start : start + step], 0.0)
+    assert [one.body for one in found] == BODIES
+    assert {one.headers["x-timestamp"] for one in found} == {"5"}
+
+
 def test_a_stream_of_dashes_takes_no_longer_than_another() -> None:
     reader = MultipartReader("frame")
     for _ in range(64):
         assert reader.feed(b"-" * 65536, 0.0) == []
     assert reader.feed(b"frame\n" * 20_000, 0.0) == []
+    assert reader.feed(part(BODIES[0]), 0.0)[-1].body == BODIES[0]
+
+
+@pytest.mark.parametrize(
+    "bytes_of_jpegs",
+    [b"\xff\xd8\xff\xe0\0\2?", b"\xff\xd8\xff\xda\0\0", b"\xff\xd8\xff", b"\xff\xd8\xff\xe0\0\0", b"\xff"],
+)
+def test_a_stream_of_beginnings_takes_no_longer_than_another(bytes_of_jpegs: bytes) -> None:
+    """Each is looked at once: if each were followed by a look at all the rest, this would take hours."""
+    reader = MultipartReader("frame")
+    chunk = b"\xff\xd8\xff" + bytes_of_jpegs * (65536 // len(bytes_of_jpegs))
+    for _ in range(64):
+        reader.feed(chunk, 0.0)
     assert reader.feed(part(BODIES[0]), 0.0)[-1].body == BODIES[0]
 
 

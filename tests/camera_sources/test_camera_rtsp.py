@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import base64
+import hashlib
+import re
 import struct
 from collections.abc import AsyncIterator
 
@@ -11,10 +14,11 @@ import numpy as np
 import pytest
 
 from support.patience import PATIENCE
-from support.streams import nothing_comes_but, status_with
+from support.streams import first, nothing_comes_but, status_with
 from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.clock import SystemClock
-from swarmtrack.messages import Frame, StampKind
+from swarmtrack.diagnosis.sources import CameraFacts, check_camera
+from swarmtrack.messages import Frame, LinkStatus, StampKind
 
 PERIOD = 1 / 30
 
@@ -45,10 +49,16 @@ def rtp_packets(image: np.ndarray, sequence: int, timestamp: int) -> list[bytes]
 
 
 class Server:
-    """Plays grey pictures that get lighter; `silent` stops them, `hang_up` ends the connections."""
+    """Plays grey pictures that get lighter; `silent` stops them, `hang_up` ends the connections.
+
+    challenges: a login is asked for so, of pilot and `password`; described: the answer to DESCRIBE, if other than 200.
+    """
 
     def __init__(self) -> None:
         self.silent = False
+        self.challenges: list[str] = []
+        self.password = "se@cr/et"
+        self.described = ""
         self.plays = 0
         self.port = 0
         self._writers: list[asyncio.StreamWriter] = []
@@ -78,6 +88,14 @@ class Server:
         body = ""
         if method == "OPTIONS":
             lines.append("Public: OPTIONS, DESCRIBE, SETUP, PLAY, TEARDOWN")
+        elif method == "DESCRIBE" and not self._is_right(headers.get("authorization", "")):
+            lines[0] = "RTSP/1.0 401 Unauthorized"
+            lines += [f"WWW-Authenticate: {challenge}" for challenge in self.challenges] + [
+                "Content-Length: 3"
+            ]
+            body = "no!"
+        elif method == "DESCRIBE" and self.described:
+            lines[0] = f"RTSP/1.0 {self.described}"
         elif method == "DESCRIBE":
             body = "v=0\r\no=- 0 0 IN IP4 127.0.0.1\r\ns=test\r\nt=0 0\r\nm=video 0 RTP/AVP 26\r\na=control:track\r\n"
             lines += ["Content-Type: application/sdp", f"Content-Length: {len(body)}"]
@@ -86,6 +104,20 @@ class Server:
                 lines[0] = "RTSP/1.0 461 Unsupported Transport"
             lines.append("Transport: RTP/AVP/TCP;unicast;interleaved=0-1")
         return ("\r\n".join(lines) + "\r\n\r\n" + body).encode()
+
+    def _is_right(self, said: str) -> bool:
+        if not self.challenges:
+            return True
+        if said.startswith("Basic "):
+            return base64.b64decode(said[6:]).decode() == f"pilot:{self.password}"
+        pairs = dict(re.findall(r'(\w+)="?([^",]*)"?', said))
+
+        def h(text: str) -> str:
+            return hashlib.md5(text.encode()).hexdigest()
+
+        both = h(f"pilot:cam:{self.password}"), h(f"DESCRIBE:{pairs.get('uri')}")
+        middle = ":".join(pairs[key] for key in ("nc", "cnonce", "qop")) + ":" if "qop" in pairs else ""
+        return pairs.get("response") == h(f"{both[0]}:abc:{middle}{both[1]}")
 
     async def _play(self, writer: asyncio.StreamWriter) -> None:
         self.plays += 1
@@ -184,3 +216,68 @@ async def test_nobody_there_and_no_stream_there_are_told_apart_and_close_at_once
         camera = open_camera(url(port), clock=SystemClock())
         await nothing_comes_but(sentence, camera, camera.frames())
     mute.close()
+
+
+DIGEST = 'Digest realm="cam", nonce="abc"'
+BASIC = 'Basic realm="cam"'
+
+
+@pytest.mark.parametrize("challenges", [[DIGEST], [BASIC], [BASIC, DIGEST]])
+async def test_with_the_right_login_a_camera_is_read(server: Server, challenges: list[str]) -> None:
+    server.challenges = challenges
+    camera = open_camera(url(server.port).replace("://", "://pilot:se%40cr%2Fet@"), clock=SystemClock())
+    assert len(await first(1, camera.frames())) == 1
+    await camera.close()
+
+
+@pytest.mark.parametrize(
+    ("login", "challenges", "described", "words"),
+    [
+        ("", [DIGEST], "", "RTSP 401 Unauthorized: give user and password, rtsp://USER:PASSWORD@HOST/…"),
+        ("pilot:hunter2@", [DIGEST], "", "user or password is not accepted (asked for: digest)"),
+        ("pilot:hunter2@", [BASIC, f"{DIGEST}, qop=auth"], "", "not accepted (asked for: basic, digest)"),
+        ("pilot:hunter2@", [BASIC], "", "user or password is not accepted (asked for: basic)"),
+        ("pilot:hunter2@", [f"{DIGEST}, algorithm=ROT13"], "", "not accepted (asked for: digest)"),
+        ("pilot:hunter2@", ["Digest realm=, nonce=abc"], "", "not accepted (asked for: digest)"),
+        ("pilot:hunter2@", [f"{DIGEST}, qop=auth-int"], "", "not accepted (asked for: digest)"),
+        ("pilot:hunter2@", ["Negotiate"], "", "not accepted (asked for: negotiate)"),
+        ("pilot:se%40cr%2Fet@", [BASIC], "404 Not Found", "RTSP 404 Not Found: check the path"),
+        ("pilot:se%40cr%2Fet@", [DIGEST], "404 Not Found", "RTSP 404 Not Found: check the path"),
+        (
+            "pilot:se%40cr%2Fet@",
+            [f'{DIGEST}, qop="auth"'],
+            "404 Not Found",
+            "RTSP 404 Not Found: check the path",
+        ),
+        (
+            "pilot:se%40cr%2Fet@",
+            [f"{DIGEST}, algorithm=SHA-256", DIGEST],
+            "404 Not Found",
+            "404 Not Found: check",
+        ),
+        ("", [], "503 Service Unavailable", "RTSP 503 Service Unavailable"),
+        ("", [], "404 Not Found\r\nContent-Length: -1", "RTSP 404 Not Found: check the path"),
+        ("", [], "not RTSP", "answers, but gives no video: check path, user and password"),
+        ("", [], "200 OK", "gives no video that can be read, though it accepts path and login"),
+    ],
+)
+async def test_why_a_server_gives_no_video_is_said(
+    server: Server,
+    caplog: pytest.LogCaptureFixture,
+    login: str,
+    challenges: list[str],
+    described: str,
+    words: str,
+) -> None:
+    server.challenges, server.described = challenges, described
+    camera = open_camera(url(server.port).replace("://", f"://{login}"), clock=SystemClock())
+    await nothing_comes_but(words, camera, camera.frames())
+    shown = (camera.status().text, camera.status().name, *caplog.messages)
+    assert not any("hunter2" in text or "se@cr" in text for text in shown)
+    assert (only_fault(camera.status()) == "camera.login") == ("RTSP 401" in camera.status().text)
+
+
+def only_fault(status: LinkStatus) -> str:
+    """What doctor calls it."""
+    (finding,) = check_camera(CameraFacts(8.0, 0.5, status, kind="rtsp"))
+    return finding.fault

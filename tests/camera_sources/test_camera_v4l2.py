@@ -23,9 +23,10 @@ from support.places import ROOT, V4L2_STAND_IN
 from swarmtrack.camera_sources import v4l2_abi as abi
 from swarmtrack.camera_sources.decode import RawImage, decode_raw
 from swarmtrack.camera_sources.frame_slot import BadImage, Freshness
+from swarmtrack.camera_sources.limits import STAMPS_COMPARED
 from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.camera_sources.stretch import Stretch
-from swarmtrack.camera_sources.v4l2 import exposure_time, holders
+from swarmtrack.camera_sources.v4l2 import exposure_time, holders, kernel_stamp
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import SourceError
 from swarmtrack.messages import StampKind
@@ -175,11 +176,14 @@ def test_every_frame_carries_the_kernels_start_of_exposure_and_its_own_picture(
 
 
 @needs_cc
-def test_motion_jpeg_is_decoded_and_grey_is_preferred_to_it(watch: Watch, tmp_path: Path) -> None:
+@pytest.mark.parametrize("fourcc", ["MJPG", "JPEG"])
+def test_motion_jpeg_is_decoded_and_grey_is_preferred_to_it(
+    watch: Watch, tmp_path: Path, fourcc: str
+) -> None:
     image = np.full((480, 640, 3), (10, 120, 230), np.uint8)
     (tmp_path / "image.jpg").write_bytes(cv2.imencode(".jpg", image)[1].tobytes())
-    watch.script(formats="MJPG,GREY", jpeg=tmp_path / "image.jpg")
-    watch.start("fourcc=MJPG")
+    watch.script(formats=f"{fourcc},GREY", jpeg=tmp_path / "image.jpg")
+    watch.start(f"fourcc={fourcc}")
     assert watch.frame()["corner"] == pytest.approx([10, 120, 230], abs=4)
     (tmp_path / "image.jpg").write_bytes(b"\xff\xd8\xff nonsense")
     watch.status_that(lambda status: status["corrupt"] > 2)
@@ -262,6 +266,11 @@ def test_an_unplugged_camera_comes_back_and_its_frames_count_on(watch: Watch) ->
     [
         ({"formats": "H264"}, "", "offers H264, expected one of GREY, YUYV, UYVY"),
         ({"formats": "YUYV"}, "fourcc=MJPG", "offers YUYV, expected one of MJPG: add YUYV to fourcc="),
+        (
+            {"planes": 2},
+            "",
+            "captures multi-planar only, which is not supported: have another program convert it",
+        ),
         ({"formats": "NV16"}, "", "have another program convert it and serve it as rtsp://"),
         ({"formats": "GREY", "busy": 1}, "", "busy, held by"),
         ({"open_errno": 13}, "", "usermod -aG video"),
@@ -299,7 +308,11 @@ def test_buffers_the_driver_marks_as_damaged_are_counted_not_shown(watch: Watch)
     watch.script(formats="GREY", damaged=1)
     watch.start()
     status = watch.status_that(lambda status: status["corrupt"] > 3)
-    assert status["frames"] == 0
+    assert (status["ok"], status["frames"]) == (False, 0)
+    assert "no picture can be read from them; the last: marked as damaged by the driver" in status["text"]
+    watch.script(formats="GREY")
+    watch.frame()
+    assert watch.status_that(lambda status: status["ok"])
 
 
 @needs_cc
@@ -342,15 +355,50 @@ def buffer(t: float, flags: int) -> abi.Buffer:
     return abi.Buffer(flags=flags, timestamp=abi.Timeval(int(t), int(1e6 * (t - int(t)))))
 
 
-def test_a_stamp_of_the_end_of_the_frame_or_of_another_clock_is_known_for_what_it_is() -> None:
-    now = 1000.05
-    end = exposure_time(buffer(1000.0, abi.BUF_FLAG_TIMESTAMP_MONOTONIC), now, PERIOD, 10_000)
-    assert end[0] is StampKind.READOUT
-    assert end[1] == pytest.approx(1000.0 - 0.005)
-    for t, flags in ((1000.0, 0), (1.7e9, abi.BUF_FLAG_TIMESTAMP_MONOTONIC | abi.BUF_FLAG_TSTAMP_SRC_SOE)):
-        stamp, at, sigma = exposure_time(buffer(t, flags), now, PERIOD, None)
-        assert (stamp, at) == (StampKind.ARRIVAL, now)
-        assert sigma > end[2] > 1e-3
+def test_a_stamp_of_the_end_of_the_frame_is_known_for_what_it_is() -> None:
+    stamp, at, sigma = exposure_time(1000.0, abi.BUF_FLAG_TIMESTAMP_MONOTONIC, PERIOD, 10_000)
+    assert stamp is StampKind.READOUT
+    assert at == pytest.approx(1000.0 - 0.005)
+    assert PERIOD > sigma > 1e-3
+    assert kernel_stamp(buffer(1000.0, abi.BUF_FLAG_TIMESTAMP_MONOTONIC)) == pytest.approx(1000.0)
+    assert kernel_stamp(buffer(1000.0, 0)) is None
+
+
+@needs_cc
+@pytest.mark.parametrize(
+    ("lead_us", "problem"),
+    [
+        (1_200_000, " s behind this machine's monotonic clock by the youngest of 20 frames, or"),
+        (-80_000, " s ahead of this machine's monotonic clock by the youngest of 20 frames, expected -5 to"),
+        (100_000_000, "100 s behind this machine's monotonic clock, expected -5 to +533 ms"),
+    ],
+)
+def test_stamps_of_another_clock_are_not_used_and_the_offset_is_said(
+    watch: Watch, lead_us: int, problem: str
+) -> None:
+    watch.script(formats="GREY", lead_us=lead_us)
+    watch.start()
+    watch.frames(STAMPS_COMPARED)  # from then on their youngest counts
+    for frame in watch.frames(10):
+        assert frame["stamp"] == StampKind.ARRIVAL.value
+        assert 0.0 <= frame["now"] - frame["t"] < 0.2
+    status = watch.status()
+    assert "stamps are not used: their clock is" in status["text"]
+    assert problem in status["text"]
+    assert status["ok"]
+    assert status["bad_stamps"] >= 10
+
+
+@needs_cc
+@pytest.mark.parametrize("before", [1, 5])
+def test_a_frame_that_waited_longer_than_any_latency_keeps_its_stamp(watch: Watch, before: int) -> None:
+    watch.script(formats="GREY")
+    watch.start("buffers=4")
+    last = watch.frames(before)[-1]
+    watch.send("block 1.0")
+    while (frame := watch.frame())["sequence"] < last["sequence"] + 30:
+        assert frame["stamp"] == StampKind.EXPOSURE.value
+    assert watch.status()["bad_stamps"] == 0
 
 
 def test_an_honest_latency_is_not_staleness_and_a_lasting_change_of_it_is_learnt() -> None:
@@ -406,7 +454,17 @@ def seen_as(data: memoryview, form: RawImage, *, grey: bool = False) -> np.ndarr
 def packed(fourcc: str, width: int, height: int, stride: int) -> bytes:
     """A uniform image in a V4L2 format, by OpenCV's own conversion the other way."""
     image = np.full((height, width, 3), BGR, np.uint8)
-    if fourcc in ("BGR3", "RGB3"):
+    if fourcc in ("YU12", "YV12"):
+        code = cv2.COLOR_BGR2YUV_I420 if fourcc == "YU12" else cv2.COLOR_BGR2YUV_YV12
+        y, chroma = np.split(cv2.cvtColor(image, code).ravel(), [height * width])
+        lines = (y.reshape(height, width), chroma.reshape(height, width // 2))
+        return b"".join(
+            np.pad(plane, ((0, 0), (0, stride * plane.shape[1] // width - plane.shape[1]))).tobytes()
+            for plane in lines
+        )
+    if fourcc == "BGR4":
+        lines = cv2.cvtColor(image, cv2.COLOR_BGR2BGRA).reshape(height, -1)
+    elif fourcc in ("BGR3", "RGB3"):
         lines = (image if fourcc == "BGR3" else image[:, :, ::-1]).reshape(height, -1)
     elif fourcc in ("NV12", "NV21"):
         y, u, v = np.split(
@@ -424,10 +482,12 @@ def packed(fourcc: str, width: int, height: int, stride: int) -> bytes:
     return np.pad(lines, ((0, 0), (0, stride - lines.shape[1]))).tobytes()
 
 
-@pytest.mark.parametrize("fourcc", ["YUYV", "UYVY", "YVYU", "NV12", "NV21", "BGR3", "RGB3"])
+@pytest.mark.parametrize(
+    "fourcc", ["YUYV", "UYVY", "YVYU", "NV12", "NV21", "YU12", "YV12", "BGR3", "RGB3", "BGR4"]
+)
 @pytest.mark.parametrize("padding", [0, 16])
 def test_each_format_gives_the_colours_that_went_in(fourcc: str, padding: int) -> None:
-    used = {"NV12": 8, "NV21": 8, "BGR3": 24, "RGB3": 24}.get(fourcc, 16)
+    used = 8 * {"NV12": 1, "NV21": 1, "YU12": 1, "YV12": 1, "BGR3": 3, "RGB3": 3, "BGR4": 4}.get(fourcc, 2)
     data = memoryview(packed(fourcc, 8, 6, used + padding))
     seen = seen_as(data, RawImage(fourcc, 8, 6, (used + padding) if padding else 0))
     assert seen.shape == (6, 8, 3)

@@ -84,6 +84,10 @@ async def login_server(*challenges: str) -> AsyncIterator[LoginServer]:
         ([DIGEST.replace("MD5", "SHA-256")], "Digest"),
         (['Digest realm="cam", nonce="abc"'], "Digest"),
         (["digest realm=cam, nonce=abc"], "Digest"),
+        ([f"{BASIC}, {DIGEST}"], "Digest"),
+        ([f"{DIGEST}, {BASIC}"], "Digest"),
+        ([f"Negotiate, , {BASIC},{DIGEST}"], "Digest"),
+        ([BASIC.replace('"cam"', r'"a \", Digest x=\""')], "Basic"),
         ([BASIC], "Basic"),
         ([], "Basic"),
     ],
@@ -210,7 +214,12 @@ def test_a_sign_that_belongs_elsewhere_is_explained() -> None:
         f"http://cam/videostream.cgi?user=admin&pwd={SECRET}&x=1",
         f"http://cam/cgi?loginuse=admin&loginpas={SECRET}",
         f"rtsp://cam/user=admin_password={SECRET}_channel=1_stream=0.sdp",
+        f"rtsp://cam/user=admin&pw={SECRET}/{SECRET}&channel=1",
         f"rtsp://cam/live?access_token={SECRET}",
+        f"http://cam/v?u=a&p=a%20{SECRET}&resize=1",
+        f"http://cam/v?auth={SECRET}==",
+        f"http://cam/v?{SECRET}",
+        f"https://{SECRET}@cam/v",
     ],
 )
 def test_no_address_shows_a_password(source: str) -> None:
@@ -219,10 +228,43 @@ def test_no_address_shows_a_password(source: str) -> None:
     assert SECRET not in repr(address).replace(repr(address.query), "").replace(repr(address.target), "")
 
 
+def test_what_is_no_secret_of_an_address_is_shown() -> None:
+    shown = "rtsp://cam:554/live/main?channel=1&resize=1&sigma_ms=20.5"
+    assert str(parse_address(shown)) == shown
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        f"302 Found\r\nLocation: /v?user=admin&p={SECRET}",
+        f"302 Found\r\nLocation: ftp://admin:{SECRET}@x/y?key={SECRET}",
+        f"500 http://cam/v?key={SECRET}",
+        f"500 /v?key={SECRET}",
+    ],
+    ids=["to itself", "to another scheme", "in its reason", "in its reason, without the host"],
+)
+async def test_no_answer_of_a_server_shows_a_password(answer: str, caplog: pytest.LogCaptureFixture) -> None:
+    async def serve(_: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(f"HTTP/1.1 {answer}\r\nContent-Length: 0\r\nConnection: close\r\n\r\n".encode())
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    async with server:
+        url = f"http://127.0.0.1:{server.sockets[0].getsockname()[1]}/v?user=admin&p={SECRET}"
+        camera = open_camera(url, clock=SystemClock())
+        await nothing_comes_but("trying again", camera, camera.frames())
+    assert SECRET not in "".join((camera.status().text, camera.status().name, *caplog.messages))
+
+
 @pytest.mark.parametrize(
     ("text", "shown"),
     [
         (f'found "http://a:{SECRET}@cam/x", expected', 'found "http://…@cam/x", expected'),
+        (f"url='http://cam/x?u=a&p={SECRET}'; again", "url='http://cam/x?u=…&p=…'; again"),
+        (f"no '/x?p={SECRET}' here", "no '/x?p=…' here"),
+        ("/dev/video0?width=640: busy", "/dev/video0?width=640: busy"),
+        ("/clips/run=3/a.mp4: not found", "/clips/run=3/a.mp4: not found"),
+        ("give http://USER:PASSWORD@HOST/…", "give http://USER:PASSWORD@HOST/…"),
         ("file:///clips/a@2x.mp4: not found", "file:///clips/a@2x.mp4: not found"),
         ("images://a@b: none", "images://a@b: none"),
         ("drone.toml:5: write to me@example.org", "drone.toml:5: write to me@example.org"),

@@ -12,7 +12,8 @@ import pytest
 
 from support.mutants import MUTANTS, mutants
 from support.streams import jpeg
-from support.tiny_videos import H264, VARYING_RATE
+from support.tiny_videos import H264, LONGER_SOUND, VARYING_RATE, WITH_A_RATE
+from swarmtrack.camera_sources.container_end import is_complete
 from swarmtrack.camera_sources.edit_list import edited_duration_s
 from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.camera_sources.playback import Picture
@@ -54,6 +55,15 @@ async def test_a_stream_without_times_is_said_to_have_none_and_a_rate_can_be_giv
     camera.frames()
     assert "holds no times" in camera.status().text
     await camera.close()
+
+
+@pytest.mark.parametrize("name", WITH_A_RATE)
+def test_a_bare_stream_that_holds_its_rate_has_no_note(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(WITH_A_RATE[name])
+    video, pictures, _ = played(path)
+    assert video.note == ""
+    assert pictures[-1].t == pytest.approx(9 / 50, abs=0.025)
 
 
 def test_a_file_with_times_has_no_note(tmp_path: Path) -> None:
@@ -129,6 +139,35 @@ def test_a_file_of_a_varying_rate_ends_well(tmp_path: Path) -> None:
     assert video.announced == 30
     assert [picture.t for picture in pictures] == pytest.approx([0.0, 0.033, 0.067, 0.933, 0.967])
     assert ending == (True, "ended after 5 frames")
+
+
+@pytest.mark.parametrize("name", LONGER_SOUND)
+def test_a_file_whose_sound_is_longer_ends_well(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(LONGER_SOUND[name])
+    video, pictures, ending = played(path)
+    assert video.announced > len(pictures) + 5
+    assert ending == (True, f"ended after {len(pictures)} frames")
+
+
+@pytest.mark.parametrize("name", ["a.mkv", "a.flv", "a.ts"])
+def test_a_file_with_sound_that_is_cut_off_is_said_to_be(tmp_path: Path, name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(LONGER_SOUND[name][: len(LONGER_SOUND[name]) * 6 // 10])
+    _, pictures, (good, text) = played(path)
+    assert not good
+    assert text.startswith(f"ended after {len(pictures)} ")
+
+
+@pytest.mark.parametrize(
+    "count", [60, pytest.param(MUTANTS // 10, marks=pytest.mark.long("a thousand, not 60"))]
+)
+@pytest.mark.parametrize("name", LONGER_SOUND)
+def test_any_mutation_of_a_container_is_complete_or_not(tmp_path: Path, name: str, count: int) -> None:
+    path = tmp_path / name
+    for mutant in mutants(LONGER_SOUND[name], count, seed=5):
+        path.write_bytes(mutant)
+        assert is_complete(path) in (True, False, None)
 
 
 @pytest.mark.parametrize("name", ["a.avi", "a.mkv"])

@@ -165,6 +165,12 @@ def test_binning_is_applied(write):
     assert found.notes == ("binning 2 x 2 is applied: images are 320 x 240",)
 
 
+def test_binning_is_applied_in_a_flat_file_too(write):
+    found = load_calibration(write(FLAT + "binning_x: 2\nbinning_y: 2\n"))
+    assert (found.camera.width, found.camera.height, found.camera.fx) == (320, 240, 230.25)
+    assert found.notes == ("binning 2 x 2 is applied: images are 320 x 240",)
+
+
 def test_a_region_of_interest_is_applied_before_binning(write):
     text = INFO + "binning_x: 2\nbinning_y: 2\nroi: {x_offset: 100, y_offset: 60, width: 400, height: 300}\n"
     found = load_calibration(write(text))
@@ -200,9 +206,18 @@ REFUSED = [
     (INFO, "k: [", "cam0_calib: a.yaml\nother: [", "", "", r"cam0_calib: names another file"),
     (kalibr("ds", f"-0.17, 7.0, 158.3, 158.4, {CX}, {CY}"), "", "", "", "", r"cam0\.intrinsics: alpha = 7, exp"),
     (REALSENSE, "", "", "", "", r"2 cameras \(Color 1280x720, Color 640x480\), expected calibration_camera"),
+    (INFO, INFO, "intrinsics: {a: 1}", "", "", r"intrinsics: .*a.*: 1.*, expected numbers"),
+    (kalibr("omni", f"1.2, 460.5, 459.1, {CX}, {CY}"), "none", "equi", "[]", "[0.1, 0, 0, 0]", r"on top of 'omni'"),
+    (INFO, INFO, "# Camera list\n1 OPENCV 640 480 460 460 320 240\n", "", "", "no keys in it"),
+    (INFO, INFO, "cam0 (/a):\n    type: <class 'a'>\n    b: [1 2] +- [0 0]\n", "", "", "expected valid YAML"),
     (json.dumps({"cameraData": []}), "", "", "", "", r"holds no camera"),
     (json.dumps({"value0": {"intrinsics": 3}}), "", "", "", "", r"value0\.intrinsics, resolution: expected a list"),
 ]  # fmt: skip
+
+
+NEXT_STEP = re.compile(
+    r": (calibrate again with|correct |add a line|give that file)|expected calibration_camera"
+)
 
 
 @pytest.mark.parametrize(("text", "old", "new", "older", "newer", "words"), REFUSED)
@@ -213,6 +228,36 @@ def test_what_no_dialect_means_is_refused_with_a_sentence(write, text, old, new,
         load_calibration(path)
     assert str(caught.value).startswith(str(path))
     assert "expected" in str(caught.value)
+    assert NEXT_STEP.search(str(caught.value))
+
+
+@pytest.mark.parametrize(
+    ("made_for", "size"),
+    [
+        ((640, 480), (640, 360)),
+        ((1280, 960), (1280, 720)),
+        ((1280, 800), (1280, 720)),
+        ((1280, 720), (1280, 960)),
+        ((800, 600), (960, 720)),
+        ((1280, 720), (640, 480)),
+        ((640, 480), (480, 640)),
+    ],
+)
+def test_numbers_of_another_size_are_refused_whichever_side_was_cut(write, made_for, size):
+    """The principal point is some per cent off its image's middle, as those of real cameras."""
+    cx, cy = 0.505 * made_for[0], 0.497 * made_for[1]
+    text = f"fx: 700\nfy: 700\ncx: {cx}\ncy: {cy}\nwidth: {{}}\nheight: {{}}\n"
+    assert load_calibration(write(text.format(*made_for))).camera.cx == cx
+    with pytest.raises(CalibrationError, match=r"the middle of one of|outside of the image"):
+        load_calibration(write(text.format(*size)))
+
+
+@pytest.mark.parametrize("off", [(0.04, -0.03), (-0.04, 0.0), (0.0, 0.045), (0.1, 0.03)])
+@pytest.mark.parametrize("size", [(640, 480), (752, 480), (1280, 720), (1280, 800), (1920, 1080)])
+def test_a_principal_point_somewhat_off_the_middle_is_taken(write, size, off):
+    cx, cy = ((0.5 + off[i]) * size[i] for i in range(2))
+    text = f"fx: 700\nfy: 700\ncx: {cx}\ncy: {cy}\nwidth: {size[0]}\nheight: {size[1]}\n"
+    assert load_calibration(write(text)).camera.cx == cx
 
 
 def test_vins_says_where_the_camera_is_on_the_imu(write):
@@ -250,6 +295,11 @@ FLAT = "fx: 460.5\nfy: 459.1\ncx: 322.2\ncy: 241.7\nwidth: 640\nheight: 480\n"
 )
 def test_a_file_by_hand_is_read(write, more, lens):
     assert load_calibration(write(FLAT + more)).camera.distortion == lens
+
+
+def test_a_file_by_hand_may_hold_its_intrinsics_in_one_mapping(write):
+    text = f"intrinsics: {{fx: 460.5, fy: 459.1, cx: {CX}, cy: {CY}}}\nwidth: 640\nheight: 480\n"
+    assert load_calibration(write(text)).camera == load_calibration(write(FLAT)).camera
 
 
 def test_a_projection_that_is_named_is_not_passed_over(write):

@@ -70,6 +70,12 @@ READ = {
     "end to end, the second class": ("end_to_end", {"output0": rows(300, 6, [*CORNERS, 0.93, 1.0])},
                                      ultralytics("bird", "drone")),
     "P2": ("yolo_v8", {"output0": v8(cells(4, 8, 16, 32), 0.93)}, ultralytics("drone")),
+    "P2 without P5": ("yolo_v8", {"output0": v8(cells(4, 8, 16), 0.93)}, ultralytics("drone", stride="16")),
+    "YOLOv3-tiny": ("yolo_v8", {"output0": v8(cells(16, 32), 0.93)}, ultralytics("drone")),
+    "YOLOv5 of P3 and P4": ("yolo_v5", {"output0": v5(3 * cells(8, 16), 0.98, 0.01)}, TWO),
+    "end to end, as many rows as a tiny YOLO's cells": (
+        "end_to_end", {"output0": rows(cells(16, 32), 6, [*CORNERS, 0.93, 0.0])}, TWO
+    ),
     "P6": ("yolo_v8", {"output0": v8(cells(8, 16, 32, 64), 0.93)}, ultralytics("drone")),
     "YOLOv8 with its maps": ("yolo_v8", {"output0": v8(cells(8, 16, 32), 0.93), **FEATURES}, ultralytics("drone")),
     "YOLOv5 of 2021, four outputs": ("yolo_v5", {"output": v5(3 * cells(8, 16, 32), 0.98, 0.01), **MAPS}, {}),
@@ -111,6 +117,39 @@ def test_outputs_that_two_heads_could_have_made_are_asked_about(tmp_path):
         assert found(path, Declared(head=head))[0] == head
 
 
+FOUR = Declared(names=("a", "b", "c", "drone"))
+BOXES, LOGITS = rows(300, 4, SHARES), rows(300, 4, [-5.0, -5.0, -5.0, 2.6])
+SCORES = rows(300, 4, [0.01, 0.01, 0.01, 0.93])
+
+
+@pytest.mark.parametrize(
+    "outputs",
+    [
+        {"scores": SCORES, "pred_boxes": BOXES},
+        {"pred_boxes": BOXES, "box_scores": SCORES},
+        {"output0": SCORES, "boxes": BOXES},
+        {"logits": LOGITS, "output1": BOXES},
+        {"output0": LOGITS, "output1": BOXES},
+        {"output0": BOXES, "output1": LOGITS},
+    ],
+)
+@pytest.mark.parametrize("head", [None, "detr"])
+def test_boxes_and_four_classes_are_told_apart_by_name_or_value(tmp_path, outputs, head):
+    head, result = found(answering(tmp_path / "net.onnx", outputs), Declared(names=FOUR.names, head=head))
+    assert head == "detr"
+    assert result.centre[0] == pytest.approx(np.array(CENTRE) - 0.5, abs=1e-3)
+    assert len(result.centre) == 1
+
+
+@pytest.mark.parametrize("head", [None, "detr"])
+def test_boxes_and_four_classes_that_nothing_tells_apart_are_refused(tmp_path, head):
+    path = answering(tmp_path / "net.onnx", {"output0": SCORES, "output1": BOXES})
+    with pytest.raises(
+        ModelError, match=r"either of its outputs, .*may hold the boxes; name them boxes and scores"
+    ):
+        Detector(path, declared=Declared(names=FOUR.names, head=head))
+
+
 @pytest.mark.parametrize(
     ("outputs", "written", "words"),
     [
@@ -139,6 +178,11 @@ def test_outputs_that_two_heads_could_have_made_are_asked_about(tmp_path):
             ultralytics("drone"),
             "it is not yolo_v8: its scores are not within",
         ),
+        (
+            {name: np.full((1, n, 32, 40), -2.0, np.float32) for name, n in (("hm", 1), ("wh", 2), ("reg", 2))},
+            {},
+            "it is not centernet: its scores are not within",
+        ),
         ({"output0": v8(cells(8, 16, 32), 0.9)}, TWO, r"for an input of 160x128 and 2 classes; known are"),
         (
             {"output0": rows(300, 6, [*CORNERS, 0.9, 7.0])},
@@ -158,9 +202,66 @@ def test_outputs_that_two_heads_could_have_made_are_asked_about(tmp_path):
     ],
 )  # fmt: skip
 def test_what_no_head_made_is_refused_with_the_reason(tmp_path, outputs, written, words):
-    with pytest.raises(ModelError, match=words) as refused:
+    with pytest.raises(ModelError, match=words):
         Detector(answering(tmp_path / "net.onnx", outputs, written=written))
-    assert "--head" in str(refused.value) or "--names" in str(refused.value)
+
+
+CANDIDATES = np.zeros((1, 100), np.float32)
+NEXT_STEPS = {
+    "YOLOv8, transposed": ({"o": rows(cells(8, 16, 32), 5, [*CENTRE, *SIZE, 0.9])}, "its rows are cells: .*transposed"),
+    "mmdet": ({"dets": rows(100, 5, [*CORNERS, 0.9]), "labels": CANDIDATES}, r"as two outputs, \(1, n, 4\) and"),
+    "torchvision": (
+        {"boxes": LABELS["boxes"][0], "labels": LABELS["labels"][0], "scores": LABELS["scores"][0]}, "no batch axis"
+    ),
+    "YOLOv7, suppressed": ({"o": np.zeros((3, 7), np.float32)}, "no batch axis"),
+    "a column of scores": (
+        {"labels": LABELS["labels"][..., None], "boxes": LABELS["boxes"], "scores": LABELS["scores"][..., None]},
+        "without the last axis",
+    ),
+    "classes without a name": (
+        {"boxes": rows(100, 4, CORNERS), "a": CANDIDATES, "b": CANDIDATES}, "as integers, or with the name labels"
+    ),
+    "a number of detections": (
+        {"n": np.ones((1, 1), np.int32), "o": rows(100, 6, [*CORNERS, 0.9, 0.0])}, "without the number of detections"
+    ),
+    "maps": ({f"p{s}": np.zeros((1, 18, H // s, W // s), np.float32) for s in (8, 16, 32)}, "with the decoding"),
+    "classes of another number": (
+        {"o": v8(cells(8, 16, 32), 0.9, 0.1)}, "2 as yolo_v8; list them in detector.names, or --names"
+    ),
+    "two nets in one": (
+        {"o": v8(cells(8, 16, 32), 0.9), "p": rows(300, 6, [*CORNERS, 0.9, 0.0])}, "without further outputs"
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NEXT_STEPS)
+def test_a_refusal_says_how_to_export_and_no_head_that_would_be_refused(tmp_path, name):
+    outputs, words = NEXT_STEPS[name]
+    path = answering(tmp_path / "net.onnx", outputs, written=ultralytics("drone"))
+    with pytest.raises(ModelError, match=rf"known are .*; .*{words}") as refused:
+        Detector(path)
+    assert "--head" not in str(refused.value)
+
+
+def test_a_refusal_names_a_head_that_then_is_taken(tmp_path):
+    wrong = rows(300, 6, [*CORNERS[::-1], 0.9, 0.0])
+    path = answering(tmp_path / "net.onnx", {"output0": wrong}, written=ultralytics("drone"))
+    with pytest.raises(ModelError, match=r"if it is end_to_end all the same, set detector\.head, or --head"):
+        Detector(path)
+    assert Detector(path, declared=Declared(head="end_to_end")).description.head == "end_to_end"
+
+
+def test_a_list_that_may_be_a_detr_is_asked_for_its_classes(tmp_path):
+    path = answering(tmp_path / "net.onnx", {"output0": rows(300, 6, [*SHARES, 0.93, 0.02])})
+    with pytest.raises(ModelError, match=r"if it is a DETR, list its classes in detector\.names"):
+        Detector(path)
+    assert found(path, Declared(names=("drone", "bird")))[0] == "detr"
+
+
+def test_one_faint_box_that_is_inside_out_refuses_no_net(tmp_path):
+    outputs = rows(300, 6, [*CORNERS, 0.93, 0.0])
+    outputs[0, 200] = [90.0, 70.0, 80.0, 60.0, 0.001, 0.0]
+    assert found(answering(tmp_path / "net.onnx", {"output0": outputs}, written=TWO))[0] == "end_to_end"
 
 
 def test_one_channel_is_fed_with_luma(tmp_path):

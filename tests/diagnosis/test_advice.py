@@ -21,7 +21,10 @@ import pytest
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from support.drone_on_the_bench import NUMBERS, camera_at, written
+from support.patience import PATIENCE
+from support.streams import first, jpeg, part, repeating, stream_server
 from swarmtrack.agents import main as swarmtrack
+from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config.drone import NetworkSection, load_config
 from swarmtrack.diagnosis import sources
@@ -53,7 +56,7 @@ BEYOND = {
     **dict.fromkeys(
         (
             "camera.missing", "camera.forbidden", "camera.busy", "camera.unreachable", "camera.silent", "camera.broken",
-            "camera.late", "camera.slow", "camera.damaged", "camera.blank", "camera.garbled", "autopilot.missing",
+            "camera.late", "camera.slow", "camera.damaged", "camera.blank", "autopilot.missing",
             "autopilot.forbidden",
             "autopilot.busy", "autopilot.unreachable", "autopilot.lost", "autopilot.foreign", "autopilot.strangers",
             "autopilot.losing", "autopilot.clock", "autopilot.drift", "autopilot.unsteady", "autopilot.broken",
@@ -79,6 +82,7 @@ BEYOND = {
         CALIBRATION,
     ),
     **dict.fromkeys(("detector.slow", "tracking.noisy", "tracking.sure", "tracking.careful"), TUNING),
+    "camera.login": "a login that is given or wrong is followed in tests/camera_sources/test_http_login.py",
     "network.id_clash": "a clash and its end are followed in tests/transport/test_transport.py",
     "autopilot.second": "an ID that is set chooses its autopilot in tests/autopilot/test_shared_links.py",
     "network.absent": "an agent that is started answers in tests/live/test_doctor.py",
@@ -135,6 +139,27 @@ def camera_stale(folder: Path) -> tuple[Before, After]:
         return sources.check_camera(facts)
 
     return look("max_age_s = 0.3"), look("max_age_s = 0.6")
+
+
+def camera_garbled(folder: Path) -> tuple[Before, After]:
+    """Its remedy: "select MJPEG in the camera's settings"."""
+    del folder
+    h264 = b"\0\0\0\1\x67\x42\xc0\x1e" * 50
+
+    async def look(message: bytes) -> list[Finding]:
+        async with stream_server("/stream", "multipart/x-mixed-replace; boundary=frame") as server:
+            server.script = repeating(message)
+            camera = open_camera(server.url + "?timeout_s=0.5", clock=CLOCK)
+            taking = asyncio.create_task(first(3, camera.frames()))
+            async with asyncio.timeout(PATIENCE):
+                while not taking.done() and "but no picture" not in camera.status().text:  # noqa: ASYNC110
+                    await asyncio.sleep(0.02)
+            found = CameraFacts(8.0, 0.5, camera.status(), frames=3 * taking.done(), kind="http")
+            await camera.close()
+            await taking
+            return sources.check_camera(found)
+
+    return asyncio.run(look(h264)), asyncio.run(look(part(jpeg(50))))
 
 
 def autopilot_address(folder: Path) -> tuple[Before, After]:
@@ -390,6 +415,7 @@ def network_stranger(folder: Path) -> tuple[Before, After]:
 FOLLOWED: dict[str, Callable[[Path], tuple[Before, After]]] = {
     "camera.address": camera_address,
     "camera.stale": camera_stale,
+    "camera.garbled": camera_garbled,
     "autopilot.address": autopilot_address,
     "autopilot.none": autopilot_none,
     "autopilot.open": autopilot_open,

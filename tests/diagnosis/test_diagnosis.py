@@ -142,6 +142,7 @@ PRODUCED = {
     "camera.forbidden": lambda: camera("/dev/video0: permission denied; run `sudo …`", ok=False, frames=0),
     "camera.busy": lambda: camera("/dev/video0: busy, held by cheese (pid 7)", ok=False, frames=0),
     "camera.unreachable": lambda: camera("cannot connect to pi port 80: refused; trying again", ok=False),
+    "camera.login": lambda: camera("RTSP 401 Unauthorized: give user and password; trying again", ok=False),
     "camera.silent": lambda: camera("UVC: YUYV 640x480; waiting for the first frame", ok=False, frames=0),
     "camera.garbled": lambda: camera("bytes come, but no picture: no line holds the boundary", ok=False, frames=0),
     "camera.size": lambda: camera("frames are 64x48, the calibration is for 640x480: set", ok=False),
@@ -293,6 +294,14 @@ def test_stamps_of_another_clock_are_named_with_their_offset():
     text = "streaming; 15.0 fps; stamps are not used: their clock is 1.2 s behind UTC, expected -5 to +500 ms"
     (finding,) = camera(text, stamps=frozenset({StampKind.ARRIVAL}), kind="http")
     assert "their clock is 1.2 s behind UTC" in finding.found
+
+
+def test_a_late_stream_may_be_a_clock_that_is_behind():
+    doubt = "stamps are 299 ms old or more: the stream is late, or their clock is behind UTC"
+    text = f"streaming; 15.0 fps, age 300 ms; {doubt}"
+    (finding,) = camera(text, counters=late(300.0), kind="http")
+    assert "their clock is behind UTC" in finding.found
+    assert "chrony" in finding.remedy
 
 
 def test_a_port_that_is_no_uart_is_not_told_of_baud_rates():

@@ -209,6 +209,9 @@ async def test_after_a_partition_everybody_is_met_and_named_again(team: Team, se
     await asyncio.sleep(cut + seconds - time.monotonic())
 
     healed = time.monotonic()
+    right = team.looks_between(team.drones, cut, healed, Look.is_right)
+    report("everybody in view rightly named while parted", 100.0 * sum(right) / len(right), "% of all looks")
+    assert sum(right) > 0.85 * len(right)
     team.emulator.heal()
     met = [await agents[drone].until(r"drone 1 announced itself", healed) for drone in (2, 3)]
     met += [await agents[1].until(rf"drone {drone} announced itself", healed) for drone in (2, 3)]

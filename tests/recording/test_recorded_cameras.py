@@ -247,6 +247,33 @@ def test_of_one_camera_nothing_is_written_that_was_not_written_before(tmp_path):
     assert record["digest"] == "abb5b75b8b6fb1fb"
 
 
+@pytest.mark.parametrize(
+    ("sources", "shown"),
+    [
+        (["http://pilot:hunter2@cam/x?channel=1&resize=1"], ["http://pilot@cam/x?channel=1&resize=1"]),
+        (["rtsp://cam/user=admin&p=hunter2"], ["rtsp://cam/user=…"]),
+        (["sim://hover-triangle?seed=1234"], ["sim://hover-triangle?seed=1234"]),
+        (
+            ["https://cam/x?auth=hunter2&sigma_ms=20", "https://cam/x?auth=hunter22&sigma_ms=20"],
+            ["https://cam/x?auth=…&sigma_ms=20", "https://cam/x?auth=…2&sigma_ms=20"],
+        ),
+    ],
+)
+def test_no_login_of_a_camera_is_recorded_and_the_recording_is_replayed(
+    tmp_path, monkeypatch, sources, shown
+):
+    settings = settings_of(tmp_path, *["", TURNED][: len(sources)], sources=sources)
+    written = {one.name: one.data for one in attachments(settings)}
+    assert b"hunter2" not in b"".join(written.values())
+    for name in ("config.json", "resolved_config.json"):
+        cameras = json.loads(written[name])["camera"]
+        assert [camera["source"] for camera in (cameras if isinstance(cameras, list) else [cameras])] == shown
+    recording = recorded(tmp_path)
+    monkeypatch.setattr(Recording, "attached", lambda self, name: json.loads(written[name]))
+    read, notes = read_settings(recording)
+    assert ([camera.source for camera in read.config.cameras], notes) == (shown, [])
+
+
 def test_inputs_and_tracks_of_another_camera_come_back_as_they_went():
     seen = Detections(1.0, 5, np.ones((1, 2)), np.ones((1, 2)), np.ones(1), camera=2)
     _, back = inputs.decode("/detections", inputs.encode(1, seen))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,14 @@ from swarmtrack.runtime.perception import make_onboard
 NUMBERS = "{ fx = 300.0, fy = 300.0, cx = 159.5, cy = 119.5, width = 320, height = 240 }"
 
 
-def settings_of(folder: Path, *cameras: str) -> FlightSettings:
+SOURCES = ("detections://127.0.0.1:9/0", "detections://127.0.0.1:9/1")
+
+
+def settings_of(folder: Path, *cameras: str, sources: Sequence[str] = SOURCES) -> FlightSettings:
     path = folder / "drone.toml"
     tables = "".join(
-        f'[[camera]]\nsource = "detections://127.0.0.1:9/{k}"\nintrinsics = {NUMBERS}\n{more}'
-        for k, more in enumerate(cameras)
+        f'[[camera]]\nsource = "{source}"\nintrinsics = {NUMBERS}\n{more}'
+        for source, more in zip(sources, cameras, strict=False)
     )
     path.write_text(
         f'drone.id = 3\nnetwork.transport = "memory"\n[recording]\ndir = "{folder}/rec"\nframes = "jpeg"\n{tables}'

@@ -74,6 +74,15 @@ def sending(
     return script
 
 
+def repeating(message: bytes) -> Script:
+    async def script(send: Send) -> None:
+        while True:
+            await send(message)
+            await asyncio.sleep(0.02)
+
+    return script
+
+
 def dealt_with(source: Camera | DetectionSource) -> float:
     """How many frames were taken or refused."""
     count = counters(source)

@@ -117,6 +117,34 @@ def test_where_a_lower_rate_shortens_nothing_it_is_taken_back_and_hardly_tried_a
     assert sum(said[-100:]) / 100.0 > 0.8 * 50.0
 
 
+def lost(t: float) -> Waiting:
+    """Two fifths lost: what is answered is answered at once, and now and then nothing is for a second or two."""
+    return Waiting(0.02, 0, 0.01, max(0.0, 1.8 * math.sin(1.3 * t) * math.sin(0.37 * t)))
+
+
+def test_answers_that_are_lost_show_no_queue_whatever_the_rate_is_when_they_come_again():
+    pacing, said = Pacing(), []
+    for step in range(600):
+        said.append(fly(pacing, 0.2 * step, 0.2, lost(0.2 * step)))
+        assert not pacing.is_full
+    assert sum(said) / 120.0 > 0.8 * 50.0
+
+
+def test_where_losses_end_links_their_ends_do_not_lower_the_rate():
+    pacing = Pacing()
+    fly(pacing, 0.0, 10.0, Waiting(0.02, 0, 0.01, 0.6))
+    fly(pacing, 10.0, 4.0)
+    pacing.begin()
+    assert fly(pacing, 14.0, 1.0) > 40
+
+
+def test_a_radio_so_full_that_no_answer_comes_at_all_is_full():
+    pacing = Pacing()
+    fly(pacing, 0.0, 5.0)
+    fly(pacing, 5.0, 5.0, Waiting(0.0, 0, 0.01, 3.0))
+    assert pacing.is_full
+
+
 def test_a_stream_that_sends_nothing_any_more_is_no_full_radio():
     pacing, stuck = Pacing(), Waiting(0.0, 100_000)
     said = [fly(pacing, float(t), 1.0, stuck) for t in range(120)]
@@ -201,14 +229,17 @@ def test_one_bad_link_is_no_full_radio_and_a_good_cable_does_not_hide_one():
     slow = {f"slow {i}": link("radio", rtt=1.01) for i in range(2)}
     assert Congestion().measure(cable | slow).delay_s == pytest.approx(1.0)
     lossy = {str(i): link("radio", rtt=0.01, unanswered=1.5 if i else 0.0) for i in range(3)}
-    assert Congestion().measure(lossy).delay_s == 0.0
+    assert Congestion().measure(lossy) == CLEAR._replace(round_trip_s=0.01)
+    one_stands = {str(i): link("radio", rtt=0.01, unsent=0 if i else 100_000) for i in range(3)}
+    assert not Congestion().measure(one_stands).is_late
     assert congestion.measure({}) == CLEAR
 
 
 def test_an_answer_that_does_not_come_is_late_and_bytes_that_wait_are_told():
-    assert Congestion().measure({"peer": link("radio", rtt=0.01, unanswered=1.5)}).delay_s == pytest.approx(
-        1.0
-    )
+    due = Congestion().measure({"peer": link("radio", rtt=0.01, unanswered=1.5)})
+    assert (due.delay_s, due.silent_s) == (0.0, pytest.approx(1.0))
+    assert due.is_late
+    assert not due.is_queue
     assert Congestion().measure({"peer": link("radio", rtt=0.01, unsent=5)}).unsent == 5
 
 

@@ -47,6 +47,15 @@ def test_nobody_closes_links_for_one_that_is_linked_and_silent_while_others_are_
     assert list(silence.silent([2, 3], 3600.0)) == [2]
 
 
+def test_a_gap_of_all_others_is_no_reason_to_close_links_for_one_that_is_silent_for_good() -> None:
+    silence = Silence(LEASE_S)
+    silence.news([2, 3], 0.0)
+    for second in range(30):
+        silence.mark_heard(3, float(second), report=True)
+    assert silence.to_reopen([2, 3], 31.5) == []
+    assert silence.to_reopen([2, 3], 34.0) == [2, 3]
+
+
 def test_where_nobody_is_heard_links_are_made_again_once_in_ten_minutes_and_then_ever_more_rarely() -> None:
     """A word after each renewal does not renew the budget."""
     silence = Silence(LEASE_S)

@@ -10,14 +10,15 @@
  *   busy 0         1: somebody else streams: EBUSY
  *   open_errno 0   what open fails with
  *   driver NAME    of QUERYCAP
- *   formats LIST   offered, of GREY,YUYV,UYVY,NV12,MJPG,H264 and others that are not filled
+ *   formats LIST   offered, of GREY,YUYV,UYVY,NV12,MJPG,JPEG,H264 and others that are not filled
  *   width, height  the only size there is; 0: any
  *   fps 30
  *   lead_us 12000  from the stamp (start of exposure) to delivery
  *   controls 1     0: refuses exposure and gain
  *   stamp soe      soe: start of exposure, eof: end of frame, unknown: not monotonic
  *   damaged 0      1: buffers carry the error flag
- *   jpeg FILE      the image of MJPG
+ *   jpeg FILE      the image of MJPG and JPEG
+ *   planes 1       2: captures multi-planar only
  *
  * Frames of GREY, YUYV, UYVY and NV12 are uniform with luma 4 * sequence modulo 256. The sequence counts exposures: one for which no
  * buffer was queued is missing from it. As in the kernel, a filled buffer waits until it is taken.
@@ -49,7 +50,7 @@
 #define NEXT(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 
 struct script {
-    int plugged, silent, stuck, busy, open_errno, width, height, lead_us, damaged, controls;
+    int plugged, silent, stuck, busy, open_errno, width, height, lead_us, damaged, controls, planes;
     double fps;
     char driver[16], formats[64], stamp[16], jpeg[512];
 };
@@ -102,6 +103,7 @@ static struct script read_script(void) {
         else if (!strcmp(key, "height")) s.height = atoi(value);
         else if (!strcmp(key, "lead_us")) s.lead_us = atoi(value);
         else if (!strcmp(key, "damaged")) s.damaged = atoi(value);
+        else if (!strcmp(key, "planes")) s.planes = atoi(value);
         else if (!strcmp(key, "controls")) s.controls = atoi(value);
         else if (!strcmp(key, "fps")) s.fps = atof(value);
         else if (!strcmp(key, "driver")) snprintf(s.driver, sizeof s.driver, "%.15s", value);
@@ -117,7 +119,7 @@ static struct script read_script(void) {
 
 static uint32_t expose(struct device *d, uint8_t *image, const struct script *s) {
     uint8_t luma = 4 * d->sequence;
-    if (d->pix.pixelformat == V4L2_PIX_FMT_MJPEG) {
+    if (d->pix.pixelformat == V4L2_PIX_FMT_MJPEG || d->pix.pixelformat == V4L2_PIX_FMT_JPEG) {
         FILE *file = fopen(s->jpeg, "r");
         uint32_t bytes = file ? fread(image, 1, d->pix.sizeimage, file) : 0;
         if (file) fclose(file);
@@ -257,7 +259,7 @@ static int answer(struct device *d, uint32_t request, void *argument) {
         memset(c, 0, sizeof *c);
         strcpy((char *)c->driver, s.driver);
         strcpy((char *)c->card, "Stand-in camera");
-        c->device_caps = V4L2_CAP_VIDEO_CAPTURE | V4L2_CAP_STREAMING;
+        c->device_caps = (s.planes > 1 ? V4L2_CAP_VIDEO_CAPTURE_MPLANE : V4L2_CAP_VIDEO_CAPTURE) | V4L2_CAP_STREAMING;
         c->capabilities = c->device_caps | V4L2_CAP_DEVICE_CAPS;
         return 0;
     }
