@@ -71,7 +71,7 @@ HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
 # MAVLink 2 and 1: length, flags, sequence, sender and message.
 HEARTBEAT_HEADER = re.compile(rb"\xfd\x09[\x00\x01]\x00...\x00\x00\x00|\xfe\x09...\x00", re.DOTALL)
 # Messages whose newest one alone is true.
-STATES = frozenset({HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
+STATE_MESSAGES = frozenset({HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
 # When somebody was heard whose part of a log is still to be played.
 NOT_YET = -math.inf
 
@@ -202,7 +202,7 @@ class MavlinkAutopilot:
         # Of an autopilot's own log, numbers are those of our conversion.
         self._is_numbered = self._link.address.scheme not in ("ulog", "bin")
         self._states_at: dict[int, float] = {}
-        """When the newest of STATES were sent."""
+        """When the newest of STATE_MESSAGES were sent."""
 
     @property
     def _reads_channels(self) -> bool:
@@ -522,7 +522,7 @@ class MavlinkAutopilot:
         telemetry = self._telemetry
         if telemetry.stamps.is_copy(t, message):
             return True
-        if message_id in STATES:
+        if message_id in STATE_MESSAGES:
             sent = t - telemetry.senders.delay
             if sent < self._states_at.get(message_id, -math.inf) - STATE_ORDER_S:
                 return True
