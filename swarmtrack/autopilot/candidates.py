@@ -75,6 +75,11 @@ def vehicle_name(kind: int) -> str:
     return name or f"vehicle of type {kind}"
 
 
+def with_article(name: str) -> str:
+    """A vehicle's name, see `vehicle_name`, behind `a` or `an`."""
+    return f"{'an' if name[0] in 'aeioAEIO' else 'a'} {name}"
+
+
 class AutopilotAddress(NamedTuple):
     """MAVLink's system and component ID, 1 … 255 each."""
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidates
+from swarmtrack.autopilot.datagrams import Address
 from swarmtrack.autopilot.limits import LINK_NEWS_PERIOD_S
 
 log = logging.getLogger(__package__)
@@ -26,8 +27,9 @@ class Contact:
     message; others: further senders, and their kind; signature_trouble: why signed frames are rejected; system,
     component, kind, vehicle: of our autopilot, None before it is chosen; the last two are MAV_AUTOPILOT and MAV_TYPE;
     changeling: type of vehicle that speaks under the ID of ours as well, and when it did last; shared_at: when ours
-    spoke after it; version_2_at: when ours last spoke MAVLink 2; foreign: messages of others; early_lost: messages that
-    came long before ours was chosen.
+    spoke after it; twins: senders of datagrams that keep ours from being chosen, for they send under one ID;
+    version_2_at: when ours last spoke MAVLink 2; foreign: messages of others; early_lost: messages that came long
+    before ours was chosen.
     """
 
     expected_system: int | None
@@ -44,6 +46,7 @@ class Contact:
     changeling_at: float = -math.inf
     shared_at: float = -math.inf
     version_2_at: float = -math.inf
+    twins: tuple[Address, ...] = ()
     known_at: float = 0.0
     heard_at: float = -math.inf
     others: dict[AutopilotAddress, str] = field(default_factory=dict)

@@ -53,13 +53,13 @@ class MavlinkFrame(NamedTuple):
 class Framer:
     """Splits a stream, datagrams or records into frames and counts the rest.
 
-    good: frames; bad_bytes: bytes outside of all frames; crc_failures: headers of known messages with a wrong CRC;
-    unknown: frames of messages that the dialect lacks. These cannot be checked, so they are never delivered; they are
-    distinguished from garbage by ending exactly where the next frame begins.
+    good: frames; good_bytes: in them; bad_bytes: outside of all frames; crc_failures: headers of known messages with a
+    wrong CRC; unknown: frames of messages that the dialect lacks. These cannot be checked, so they are never delivered;
+    they are distinguished from garbage by ending exactly where the next frame begins.
     """
 
     def __init__(self) -> None:
-        self.good = 0
+        self.good = self.good_bytes = 0
         self.bad_bytes = 0
         self.crc_failures = 0
         self.unknown = 0
@@ -169,6 +169,7 @@ class Framer:
             position = start + total
             self._counted = self._explained = position
             self.good += 1
+            self.good_bytes += total
             data = bytes(buffer[start:position])
             sequence, system, component = data[4:7] if version_2 else data[2:5]
             frames.append(MavlinkFrame(message_id, system, component, sequence, signed, data))

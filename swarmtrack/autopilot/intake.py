@@ -24,8 +24,8 @@ class Intake:
         self._used_before = 0
         self._thrown_before: Counter[str] = Counter()
 
-    def throw(self, why: str) -> None:
-        self.thrown[why] += 1
+    def throw(self, why: str, count: int = 1) -> None:
+        self.thrown[why] += count
 
     def pass_over(self, why: str) -> None:
         """Count what is in order and still of no use."""

@@ -46,6 +46,8 @@ ULOG_LARGEST_DEFINITION, ULOG_MOST_DAMAGED_BYTES = 10_000, 10_000
 # The rest of a frame would have come, so its header was false. A slow radio sends a few times per second.
 FRAME_FLUSH_AFTER_S = 0.3
 
+# Datagrams with heartbeats of other senders than the autopilot's: more are not looked at.
+OVERHEARD_HZ = 20
 # Contact (`mavlink_autopilot`, `link_state`, `contact`): also what makes routers learn us.
 AGENT_HEARTBEAT_PERIOD_S = 1.0
 LINK_TICK_S = 0.05
@@ -206,14 +208,32 @@ REBOOT_READINGS = 3
 CLOCK_REPLACED_AFTER_S = 3.0
 # Every autopilot takes longer to reboot, a simulated one aside: within it, a counter that begins again has wrapped.
 SHORTEST_REBOOT_S = 1.0
-# So long after a message its copies are recognised: the slowest second way there was took 1.3 s.
-COPY_REMEMBERED_S = 30.0
+# So long after a message its copies are recognised: the slowest second way there was took 1.3 s, and buffers of
+# cellular modems hold back for longer.
+COPY_REMEMBERED_S = 60.0
 # So long after the last copy a message without a stamp that equals an earlier one to the byte is a copy as well.
 COPIES_EXPECTED_S = 5.0
 # In one window of the gyro's rate: from so many copies on they are said. A single one is no news.
 COPIES_SAID = 20
 # Of the stamps that came: from this share on, those of a second clock are a second autopilot's.
 SECOND_CLOCK_SHARE = 0.2
+
+# Senders (`senders`): numbers that one may have lost between two of its frames; and counts that are followed.
+SEQUENCE_LOSS, FRAME_COUNTS_KEPT = 8, 12
+# Alternations in a row until a contradiction is believed: with heartbeats once per second four of each, more than three
+# seconds, so that a change of the mode that comes late by a second port is none.
+CONTRADICTION_TURNS = 7
+# A delay, of a way or of a port: clocks that are closer may be one.
+LATEST_WAY_S = 5.0
+# Of one vehicle's places, carried on by its velocity over so long, and of attitudes so close in time: less than that.
+SENDERS_APART_M, SENDERS_PLACE_GAP_S = 3.0, 0.3
+SENDERS_APART_RAD, SENDERS_ATTITUDE_GAP_S = 0.35, 0.03
+# Late frames, less others, that are remembered of a count.
+MOST_LATE = 20
+# Heartbeats that were sent so soon after each other may come in any order.
+STATE_ORDER_S = 0.05
+# Between two frames of a kind: within it fewer than 256 frames come, at twice the rates that are asked for.
+NUMBERED_GAP_S = 0.4
 
 # Who is the autopilot (`candidates`): heartbeats come once per second, so after so long everyone has been heard.
 CANDIDATES_HEARD_S = 1.2

@@ -17,7 +17,7 @@ import logging
 import math
 from dataclasses import dataclass
 
-from swarmtrack.autopilot.candidates import vehicle_name
+from swarmtrack.autopilot.candidates import vehicle_name, with_article
 from swarmtrack.autopilot.contact import OPENING, Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.limits import (
@@ -34,6 +34,7 @@ from swarmtrack.autopilot.streams import StreamRequests
 from swarmtrack.autopilot.telemetry import Telemetry
 from swarmtrack.messages import LinkStatus
 
+SET_OWN_ID = "give each vehicle an ID of its own (ArduPilot SYSID_THISMAV or MAV_SYSID, PX4 MAV_SYS_ID)"
 SET_SYSTEM = "set autopilot.system_id to that of this drone"
 
 
@@ -104,16 +105,24 @@ class LinkState:
             return State.STALE
         return State.NO_POSE if telemetry.has_no_pose(now) else State.STREAMING
 
-    def is_shared(self, now: float) -> bool:
-        """Whether two autopilots send under the ID of ours."""
-        return self._sharing(now) != ""
+    def contest(self, now: float) -> str:
+        """Why ours may not be the only autopilot that is flown, in a few words; empty where it is."""
+        contact = self.contact
+        if contact.system is None:
+            return ""
+        if self._sharing(now):
+            return f"two autopilots send as system {contact.system}"
+        rivals = contact.candidates.rivals(contact.address, now)
+        return f"two autopilots send, {contact.address} and {rivals[0].address}" if rivals else ""
 
     def _sharing(self, now: float) -> str:
         """By what two autopilots under our ID are told apart, in words; empty where there is one."""
         contact, apart = self.contact, self.telemetry.second_clock
         if contact.vehicle is not None and now - contact.shared_at < CANDIDATE_GONE_S:
-            return f"a {vehicle_name(contact.vehicle)} and a {contact.changeling}"
-        return "" if apart is None else f"their clocks are {abs(apart):.3g} s apart"
+            return f"{with_article(vehicle_name(contact.vehicle))} and {with_article(contact.changeling)}"
+        if apart is not None:
+            return f"their clocks are {abs(apart):.3g} s apart"
+        return self.telemetry.senders.contradiction(now)
 
     def _fault(self, now: float) -> tuple[str, str, str] | None:
         """(name, text, trouble for a pilot) of what streams and is of no use; None where all is well."""
@@ -121,7 +130,7 @@ class LinkState:
         if sharing := self._sharing(now):
             text = (
                 f"two autopilots send as system {contact.system} component {contact.component}, {sharing}: "
-                "give each vehicle an ID of its own (ArduPilot SYSID_THISMAV or MAV_SYSID, PX4 MAV_SYS_ID)"
+                f"{SET_OWN_ID}"
             )
             return "shared", text, "no single autopilot"
         if rivals := contact.candidates.rivals(contact.address, now):
@@ -191,6 +200,9 @@ class LinkState:
             names = " and ".join(map(str, ambiguous))
             number = "two" if len(ambiguous) == 2 else len(ambiguous)
             return "ambiguous", f"{number} autopilots send, {names}: {SET_SYSTEM}"
+        if contact.twins:
+            ports = " and ".join(f"{host} port {port}" for host, port, *_ in contact.twins)
+            return "twins", f"two autopilots send under one ID, from {ports}: {SET_OWN_ID}"
         others = ", ".join(f"{at} {what}".strip() for at, what in contact.others.items())
         expected = "" if contact.expected_system is None else f" of system {contact.expected_system}"
         return (

@@ -69,6 +69,10 @@ class Receiver(Protocol):
         """`data` came at t on our clock; True when it held a frame of our own autopilot. sender: of a datagram."""
         ...
 
+    def overheard(self, t: float, data: bytes) -> None:
+        """A datagram came at t that is not read, for the autopilot sends from another address."""
+        ...
+
 
 class Link(Protocol):
     """One link to an autopilot.
@@ -203,6 +207,7 @@ class UdpLink(LiveLink):
             for arrival, data, sender in opened.waiting():
                 if self._peer not in (None, sender) and arrival - self._heard_at < UDP_PEER_SILENT_S:
                     self._refuse(sender)
+                    receiver.overheard(arrival, data)
                 elif receiver.received(arrival, data, sender):
                     self.meet(sender, arrival)
         except OSError as error:

@@ -10,8 +10,10 @@ reports the link's state and why nothing comes.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
 import math
+import re
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -43,14 +45,17 @@ from swarmtrack.autopilot.limits import (
     LONGEST_RETRY_S,
     MAVLINK_1_AFTER_S,
     NAMED_SOURCES,
+    OVERHEARD_HZ,
     PILOT_SWITCH_HZ,
     RECORDS_PER_TURN,
+    STATE_ORDER_S,
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
 from swarmtrack.autopilot.links import Link, LinkDown, LoggedLink, TlogLink, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
+from swarmtrack.autopilot.senders import flight_states_apart
 from swarmtrack.autopilot.signing import Codec, read_key
 from swarmtrack.autopilot.streams import GLOBAL_POSE, LOCAL_POSE, Answer, StreamRequests
 from swarmtrack.autopilot.telemetry import Telemetry
@@ -63,6 +68,10 @@ from swarmtrack.sources import AutopilotListener
 log = logging.getLogger(__name__)
 
 HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
+# MAVLink 2 and 1: length, flags, sequence, sender and message.
+HEARTBEAT_HEADER = re.compile(rb"\xfd\x09[\x00\x01]\x00...\x00\x00\x00|\xfe\x09...\x00", re.DOTALL)
+# Messages whose newest one alone is true.
+STATE_MESSAGES = frozenset({HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
 # When somebody was heard whose part of a log is still to be played.
 NOT_YET = -math.inf
 
@@ -84,6 +93,11 @@ def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
     if mode:
         rates[CURRENT_MODE] = CURRENT_MODE_HZ
     return rates
+
+
+def _flight_state(m: Any) -> tuple[int, ...]:
+    """All that a heartbeat says."""
+    return m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status
 
 
 class WayToAutopilot(NamedTuple):
@@ -160,6 +174,7 @@ class MavlinkAutopilot:
             self._requests,
             self._contact,
             self._news,
+            framer=self._framer,
             gps=gps,
             send=self._send,
             gyro_delays=self._gyro_delays,
@@ -182,6 +197,12 @@ class MavlinkAutopilot:
         self._met_at = math.inf
         """When our autopilot was chosen."""
         self._greeted = False
+        self._overheard, self._overheard_since = 0, -math.inf
+        self._next_choice = -math.inf
+        # Of an autopilot's own log, numbers are those of our conversion.
+        self._is_numbered = self._link.address.scheme not in ("ulog", "bin")
+        self._states_at: dict[int, float] = {}
+        """When the newest of STATE_MESSAGES were sent."""
 
     @property
     def _reads_channels(self) -> bool:
@@ -273,8 +294,8 @@ class MavlinkAutopilot:
                 self._link.drop(f"silent for {TCP_SILENT_S:g} s")
         self._telemetry.measure(now)
         self._link_state.update(now)
-        if self._engagement is not None and self._link_state.is_shared(now):
-            self._engagement.fail(f"two autopilots send as system {self.system}")
+        if self._engagement is not None and (contest := self._link_state.contest(now)):
+            self._engagement.fail(contest)
 
     def _speak(self, now: float) -> None:
         if now >= self._next_heartbeat:
@@ -417,6 +438,31 @@ class MavlinkAutopilot:
             self.tick(t)
         return ours
 
+    def overheard(self, t: float, data: bytes) -> None:
+        """Read the heartbeats of another sender's datagram, and nothing else: it may be an autopilot. With a key no
+        other sender is verified, so none counts.
+        """
+        if self._codec.has_key or HEARTBEAT_HEADER.search(data) is None:
+            return
+        if t - self._overheard_since >= 1.0:
+            self._overheard_since, self._overheard = t, 0
+        self._overheard += 1
+        if self._overheard > OVERHEARD_HZ:
+            return
+        for frame in Framer().datagram(data):
+            if frame.id == HEARTBEAT and (message := self._codec.decode(frame)) is not None:
+                self._on_other_heartbeat(t, frame, message)
+
+    def _on_other_heartbeat(self, t: float, frame: MavlinkFrame, m: Any) -> None:
+        contact, senders = self._contact, self._telemetry.senders
+        address = AutopilotAddress(frame.system, frame.component)
+        if address != contact.address:
+            contact.candidates.on_heartbeat(t, address, m)
+            return
+        # A copy of ours agrees with it.
+        senders.on_frame(frame.sequence)
+        senders.compare(t, HEARTBEAT, _flight_state(m), flight_states_apart)
+
     def _take(self, t: float, frames: list[MavlinkFrame], sender: Address | None = None) -> bool:
         ours = False
         for frame in frames:
@@ -455,21 +501,33 @@ class MavlinkAutopilot:
         if frame.data[0] == V2:
             contact.version_2_at = t
         self._account.add(t, frame.id)
+        if self._is_numbered:
+            self._telemetry.senders.on_frame(frame.sequence)
         reader = self._readers.get(frame.id)
         if reader is None:
             # Not worth decoding; but with a key, what was not verified proves nobody's presence.
             return not self._codec.has_key
         if message is None:
             return False
-        if frame.id not in self._telemetry.stamped and self._telemetry.stamps.is_copy(
-            t, frame.id, frame.data
-        ):
+        if frame.id not in self._telemetry.stamped and self._is_late(t, frame.id, message):
             return False
         contact.heard_at = t
         contact.signature_trouble = ""
         self._requests.arrived(frame.id)
         reader(t, message)
         return True
+
+    def _is_late(self, t: float, message_id: int, message: Any) -> bool:
+        """Whether a message without a stamp is a copy, or tells of a state before the one that is known."""
+        telemetry = self._telemetry
+        if telemetry.stamps.is_copy(t, message):
+            return True
+        if message_id in STATE_MESSAGES:
+            sent = t - telemetry.senders.delay
+            if sent < self._states_at.get(message_id, -math.inf) - STATE_ORDER_S:
+                return True
+            self._states_at[message_id] = sent
+        return False
 
     def _decode(self, frame: MavlinkFrame) -> Any | None:
         message = self._codec.decode(frame)
@@ -511,10 +569,14 @@ class MavlinkAutopilot:
         no other will be heard.
         """
         contact = self._contact
-        if contact.system is not None:
+        if contact.system is not None or now < self._next_choice:
             return False
         candidate = contact.candidates.choose(now, final=final or self._link.recording)
         if candidate is None or candidate.heard_at == NOT_YET:
+            return False
+        contact.twins = self._twins(candidate.address, now)
+        if contact.twins:
+            self._next_choice = now + LINK_TICK_S
             return False
         self._meet(candidate, now)
         last = next((early for early in reversed(self._early) if early.address == contact.address), None)
@@ -525,6 +587,19 @@ class MavlinkAutopilot:
             early = self._early.popleft()
             ours |= self._on_frame(early.t, early.frame, early.message)
         return ours
+
+    def _twins(self, address: AutopilotAddress, now: float) -> tuple[Address, ...]:
+        """Senders of datagrams with frames of that address, if two of them have less than half of their frames in
+        common: what a router sends twice is one autopilot's.
+        """
+        frames: dict[Address, set[bytes]] = {}
+        for early in self._early:
+            is_recent = now - early.t < CANDIDATE_GONE_S and early.message is not None
+            if early.address == address and early.sender is not None and is_recent:
+                frames.setdefault(early.sender, set()).add(early.frame.data)
+        pairs = itertools.combinations(frames.values(), 2)
+        apart = any(2 * len(one & other) < min(len(one), len(other)) for one, other in pairs)
+        return tuple(frames) if apart else ()
 
     def _meet(self, ours: AutopilotCandidate, now: float) -> None:
         contact = self._contact
@@ -552,6 +627,7 @@ class MavlinkAutopilot:
     def _on_heartbeat(self, t: float, m: Any) -> None:
         """Each tells that the autopilot is there, and whether the drone flies."""
         self._look_for_changeling(t, m)
+        self._telemetry.senders.compare(t, HEARTBEAT, _flight_state(m), flight_states_apart)
         state = self._flight.on_heartbeat(t, m)
         self._telemetry.listener.on_flight_state(state)
         if self._engagement is not None:

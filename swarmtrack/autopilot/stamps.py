@@ -7,25 +7,37 @@ from collections.abc import Callable
 from typing import Any
 
 from swarmtrack.autopilot.boot_clock import BootClock, CopyMemory, StampStep
-from swarmtrack.autopilot.limits import COPIES_EXPECTED_S, REBOOT_SLACK_S, SHORTEST_REBOOT_S
+from swarmtrack.autopilot.framer import HEADER_V1, HEADER_V2, V2
+from swarmtrack.autopilot.limits import COPIES_EXPECTED_S, LATEST_WAY_S, REBOOT_SLACK_S, SHORTEST_REBOOT_S
+from swarmtrack.autopilot.senders import NumberedStamps, SenderWatch, clocks_apart
 
 
 class AutopilotStamps:
-    """copies: messages that came again, since the start.
+    """copies: messages that came again, or late by a second way, since the start.
 
-    wrapped: called where a counter of 32 bits begins again; begun_again: where the clock does, with what is known of
-    it, its stamp [s], and how far it is apart from the one before [s].
+    senders: told which frames are late, and of all clocks; wrapped: called where a counter of 32 bits begins again;
+    begun_again: where the clock does, with what is known of it, its stamp [s], and how far it is apart from the one
+    before [s].
     """
 
     def __init__(
-        self, *, wrapped: Callable[[], None], begun_again: Callable[[StampStep, float, float], None]
+        self,
+        senders: SenderWatch,
+        *,
+        wrapped: Callable[[], None],
+        begun_again: Callable[[StampStep, float, float], None],
     ) -> None:
         self.copies = 0
+        self._senders = senders
         self._wrapped = wrapped
         self._begun_again = begun_again
         self._clocks: dict[int, BootClock] = {}
+        self._numbers: dict[int, NumberedStamps] = {}
+        self._numbers_before: dict[int, NumberedStamps] = {}
+        """By the kind of message; the latter of the last boot."""
         self._memory = CopyMemory()
-        self._copied_at = -math.inf
+        self._copied_at = self._began_at = -math.inf
+        """When the last copy came, and the last clock was believed that began again."""
         self._read: tuple[float, float] | None = None
         """When a stamp was read last, and the stamp."""
 
@@ -36,22 +48,47 @@ class AutopilotStamps:
         reboots = clock is None and self._is_early(t, raw, wrap_s)
         if clock is None:
             clock = self._clocks[message_id] = BootClock(wrap_s)
-        if self._memory.has(t, message_id, bytes(message.get_payload())) and not clock.may_be_reboot(t, raw):
+        number = message.get_seq()
+        came = self._memory.has(t, message_id, _content(message))
+        numbers = self._numbers.setdefault(message_id, NumberedStamps())
+        unwrapped = raw + clock.wraps * wrap_s
+        delay = numbers.newest - unwrapped
+        is_late = (
+            (came and delay != 0.0)
+            or self._fits(message_id, unwrapped, number)
+            or (delay == -math.inf and t - self._began_at < LATEST_WAY_S and self._senders.comes_late)
+        )
+        is_copy = came or is_late
+        self._senders.on_stamped(delay if is_late else None)
+        # A simulator may repeat its last boot to the byte, but ours is not heard meanwhile.
+        goes_on = is_late and self._read is not None and t - self._read[0] < SHORTEST_REBOOT_S
+        if is_copy and (goes_on or not clock.may_be_reboot(t, raw)):
             self._copied(t)
-            return None, raw + clock.wraps * wrap_s
+            return None, unwrapped
+        self._senders.compare(t, (clocks_apart, message_id), raw - t, clocks_apart)
         near = None if self._read is None else self._read[1] + t - self._read[0]
         turns = clock.turns
         step, stamp = clock.read(t, raw, near)
         step = StampStep.REBOOT if reboots else step
+        if step is StampStep.OTHER and (is_copy or self._senders.comes_late):
+            self._copied(t)
+            return None, stamp
         if step is StampStep.NEXT:
             self._read = t, stamp
+            numbers.add(stamp, number)
             if clock.turns > turns:
                 self._wrapped()
         elif step in (StampStep.REBOOT, StampStep.REPLACED):
             self._begun_again(step, stamp, clock.apart)
-            self._clocks = {message_id: clock}
+            self._clocks, self._began_at = {message_id: clock}, t
+            self._numbers, self._numbers_before = {}, self._numbers
             self._read = t, stamp
         return step, stamp
+
+    def _fits(self, message_id: int, stamp: float, number: int) -> bool:
+        """Whether a frame fits among those that came before: the first way had lost it."""
+        known = (numbers.get(message_id) for numbers in (self._numbers, self._numbers_before))
+        return any(each.holds(stamp, number) for each in known if each is not None)
 
     def _is_early(self, t: float, raw: float, wrap_s: float) -> bool:
         """Whether a kind of message that was not there before is of another boot: an autopilot sends what it always
@@ -64,9 +101,11 @@ class AutopilotStamps:
         is_young = 0.0 < raw <= silence + REBOOT_SLACK_S
         return silence >= SHORTEST_REBOOT_S < behind and is_young and not is_wrap
 
-    def is_copy(self, t: float, message_id: int, frame: bytes) -> bool:
+    def is_copy(self, t: float, message: Any) -> bool:
         """Whether a message without a stamp is a copy: only while others come twice, for its content may recur."""
-        if self._memory.has(t, message_id, frame) and t - self._copied_at < COPIES_EXPECTED_S:
+        content = bytes((message.get_seq(),)) + _content(message)
+        came = self._memory.has(t, message.get_msgId(), content)
+        if came and t - self._copied_at < COPIES_EXPECTED_S:
             self._copied(t)
             return True
         return False
@@ -78,3 +117,10 @@ class AutopilotStamps:
     def _copied(self, t: float) -> None:
         self.copies += 1
         self._copied_at = t
+
+
+def _content(message: Any) -> bytes:
+    """Its payload without the zeros at the end, which MAVLink 2 cuts off and MAVLink 1 does not."""
+    frame = message.get_msgbuf()
+    header = HEADER_V2 if frame[0] == V2 else HEADER_V1
+    return bytes(frame[header : header + frame[1]]).rstrip(b"\0")

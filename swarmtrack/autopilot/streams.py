@@ -51,9 +51,12 @@ NOT_MEASURED = np.full(3, np.nan)
 HIGHRES_IMU: int = common.MAVLINK_MSG_ID_HIGHRES_IMU
 RAW_IMU: int = common.MAVLINK_MSG_ID_RAW_IMU
 SCALED_IMU: int = common.MAVLINK_MSG_ID_SCALED_IMU
+SCALED_IMU2: int = common.MAVLINK_MSG_ID_SCALED_IMU2
+SCALED_IMU3: int = common.MAVLINK_MSG_ID_SCALED_IMU3
 ATTITUDE_QUATERNION: int = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 ATTITUDE: int = common.MAVLINK_MSG_ID_ATTITUDE
 LOCAL_POSITION_NED: int = common.MAVLINK_MSG_ID_LOCAL_POSITION_NED
+ODOMETRY: int = common.MAVLINK_MSG_ID_ODOMETRY
 GLOBAL_POSITION_INT: int = common.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
 GPS_RAW_INT: int = common.MAVLINK_MSG_ID_GPS_RAW_INT
 GPS2_RAW: int = common.MAVLINK_MSG_ID_GPS2_RAW
@@ -79,7 +82,8 @@ class ImuMessage:
     """A message that carries the body's angular velocity.
 
     stamp: s since boot of a message; wrap_s: after which that begins again where it is counted in 32 bits; read: its
-    gyro (3,) rad/s and accel (3,) m/s², FRD, as sent; numbered: has a field `id` for the sensor, 0 the first.
+    gyro (3,) rad/s and accel (3,) m/s², FRD, as sent; numbered: has a field `id` for the sensor, 0 the first; asked:
+    requested, not only read where it comes.
     """
 
     id: int
@@ -88,6 +92,7 @@ class ImuMessage:
     read: Callable[[Any], tuple[Array, Array]]
     wrap_s: float
     numbered: bool = False
+    asked: bool = True
 
 
 def _read_highres(m: Any) -> tuple[Array, Array]:
@@ -112,11 +117,14 @@ def _milliseconds(m: Any) -> float:
     return float(m.time_boot_ms) * 1e-3
 
 
-# Best first: microseconds and floats; then microseconds; then milliseconds; then rates of the estimator.
+# Best first: microseconds and floats; then microseconds; then milliseconds; then those of further sensors, where the
+# first is broken; then rates of the estimator.
 IMU_MESSAGES = (
     ImuMessage(HIGHRES_IMU, "HIGHRES_IMU", _microseconds, _read_highres, MICROSECONDS_WRAP_S, numbered=True),
     ImuMessage(RAW_IMU, "RAW_IMU", _microseconds, _read_milli, MICROSECONDS_WRAP_S, numbered=True),
     ImuMessage(SCALED_IMU, "SCALED_IMU", _milliseconds, _read_milli, MILLISECONDS_WRAP_S),
+    ImuMessage(SCALED_IMU2, "SCALED_IMU2", _milliseconds, _read_milli, MILLISECONDS_WRAP_S, asked=False),
+    ImuMessage(SCALED_IMU3, "SCALED_IMU3", _milliseconds, _read_milli, MILLISECONDS_WRAP_S, asked=False),
     ImuMessage(ATTITUDE_QUATERNION, "ATTITUDE_QUATERNION", _milliseconds, _read_rates, MILLISECONDS_WRAP_S),
     ImuMessage(ATTITUDE, "ATTITUDE", _milliseconds, _read_rates, MILLISECONDS_WRAP_S),
 )
@@ -332,7 +340,8 @@ class StreamRequests:
 
     def _fall_back(self, now: float) -> None:
         """Try the next source of angular velocity; after the last, and a pause, the first again."""
-        self._rank = (self._rank + 1) % len(IMU_MESSAGES)
+        asked = [rank for rank, message in enumerate(IMU_MESSAGES) if message.asked]
+        self._rank = next((rank for rank in asked if rank > self._rank), 0)
         if self._rank == 0:
             self._not_before = now + self._pause
             self._pause = min(2 * self._pause, STREAM_LONGEST_ASKED_AGAIN_S)

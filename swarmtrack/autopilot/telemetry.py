@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.autopilot.boot_clock import MILLISECONDS_WRAP_S, BootClock, StampStep
+from swarmtrack.autopilot.boot_clock import MICROSECONDS_WRAP_S, MILLISECONDS_WRAP_S, BootClock, StampStep
 from swarmtrack.autopilot.clock_map import ClockMap
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter
+from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
 from swarmtrack.autopilot.intake import Intake
@@ -38,6 +39,13 @@ from swarmtrack.autopilot.limits import (
     TIMESYNC_PERIOD_S,
 )
 from swarmtrack.autopilot.links import Link
+from swarmtrack.autopilot.senders import (
+    SenderWatch,
+    StampedAttitude,
+    StampedPlace,
+    attitudes_apart,
+    places_apart,
+)
 from swarmtrack.autopilot.stamps import AutopilotStamps
 from swarmtrack.autopilot.streams import (
     ATTITUDE,
@@ -51,8 +59,11 @@ from swarmtrack.autopilot.streams import (
     IMU_MESSAGES,
     LOCAL_POSITION_NED,
     NOT_MEASURED,
+    ODOMETRY,
     RAW_IMU,
     SCALED_IMU,
+    SCALED_IMU2,
+    SCALED_IMU3,
     Cadence,
     ImuMessage,
     StreamRequests,
@@ -62,7 +73,9 @@ from swarmtrack.messages import Array, EgoPose, ImuSample
 from swarmtrack.sources import AutopilotListener
 
 DOWNWARD = common.MAV_SENSOR_ROTATION_PITCH_270
+BODY_FRAMES = (common.MAV_FRAME_BODY_NED, common.MAV_FRAME_BODY_FRD)
 INVALID_SIGNAL = 1  # of a DISTANCE_SENSOR's quality; 0 is one that tells none
+NEW_STAMPS = (StampStep.NEXT, StampStep.REBOOT, StampStep.REPLACED)
 RANKS = {message.id: rank for rank, message in enumerate(IMU_MESSAGES)}
 
 # Why something is thrown away.
@@ -72,6 +85,7 @@ IMPOSSIBLE, OTHER_CLOCK, STANDING_CLOCK = (
     "stamps that stand still",
 )
 SECOND_CLOCK = "late, or of a second clock"
+DAMAGED_FRAMES = "damaged on the way"
 STEPPED_BACK = "stamps before the last one, after the clock was corrected"
 # And why something is passed over.
 OTHER_SENSOR = "of another sensor than the first"
@@ -82,8 +96,9 @@ class Telemetry:
     """Turns our autopilot's messages into events for the listener. `readers`: by message id, handlers of (arrival,
     message); `stamped`: those that are read by their stamps.
 
-    link: nothing can be requested of a recording; gps: computes positions in the team frame; None: they are the
-    autopilot's local ones; send: sends a message to the autopilot; gyro_delays: delay of its gyro.
+    link: nothing can be requested of a recording; framer: counts what is damaged; gps: computes positions in the team
+    frame; None: they are the autopilot's local ones; send: sends a message to the autopilot; gyro_delays: delay of its
+    gyro.
     """
 
     def __init__(
@@ -93,6 +108,7 @@ class Telemetry:
         contact: Contact,
         news: RepeatLimiter,
         *,
+        framer: Framer,
         gps: GlobalPosition | None,
         send: Callable[[Any], None],
         gyro_delays: GyroDelays,
@@ -100,6 +116,7 @@ class Telemetry:
         self._requests = requests
         self._contact = contact
         self._news = news
+        self._framer = framer
         self._gps = gps
         self._recorded = link.recording
         self._send = send
@@ -107,7 +124,7 @@ class Telemetry:
         self._name = str(link.address)
         self.listener: AutopilotListener
         self.stamped = frozenset(
-            {*RANKS, ATTITUDE_QUATERNION, ATTITUDE, LOCAL_POSITION_NED, GLOBAL_POSITION_INT}
+            {*RANKS, ATTITUDE_QUATERNION, ATTITUDE, ODOMETRY, LOCAL_POSITION_NED, GLOBAL_POSITION_INT}
         )
         self.readers = self._make_readers()
 
@@ -115,7 +132,8 @@ class Telemetry:
         """Of the gyro's stamps."""
         self._pose_map = ClockMap()
         self._other_stamps = 0
-        self.stamps = AutopilotStamps(wrapped=self._wrapped, begun_again=self._begin_again)
+        self.senders = SenderWatch()
+        self.stamps = AutopilotStamps(self.senders, wrapped=self._wrapped, begun_again=self._begin_again)
         self.second_clock: float | None = None
         """How far apart [s] the clock is of a second autopilot that speaks under the same ID; None: there is none."""
         self._copies_before = 0
@@ -126,6 +144,9 @@ class Telemetry:
         self.gyro = Intake("gyro samples")
         self.attitudes = Intake("attitudes")
         self.positions = Intake("positions")
+        self._frames = Intake("frames")
+        self._bytes_before = 0, 0
+        self._lost_before = 0
         self._poses_without_position = self._reboots = self._replaced = 0
 
         self.cadence = Cadence()
@@ -135,11 +156,14 @@ class Telemetry:
         """Whether the gyro comes too seldom to be of use."""
         self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
         self._imu_rank: int | None = None
+        self._sensors: dict[int, dict[int, float]] = {}
+        """By message, when each number of a sensor was heard."""
         self._imu_t = self._imu_since = self._window_start = -math.inf
         self._window_count = 0
 
-        self._pose_at = self._quaternion_at = self._placed_at = -math.inf
-        self._position: tuple[float, Array, Array] | None = None
+        self._pose_at = self._placed_at = -math.inf
+        self._quaternion_at = self._euler_at = self._local_at = -math.inf
+        self._position: StampedPlace | None = None
         self._below: tuple[float, float] | None = None
 
     def _make_readers(self) -> dict[int, Callable[[float, Any], None]]:
@@ -150,8 +174,11 @@ class Telemetry:
             HIGHRES_IMU: self._on_imu,
             RAW_IMU: self._on_imu,
             SCALED_IMU: self._on_imu,
+            SCALED_IMU2: self._on_imu,
+            SCALED_IMU3: self._on_imu,
             ATTITUDE_QUATERNION: self._on_quaternion,
             ATTITUDE: self._on_euler_angles,
+            ODOMETRY: self._on_odometry,
             DISTANCE_SENSOR: self._on_distance,
         }
         if self._gps is None:
@@ -177,7 +204,7 @@ class Telemetry:
         """Arrival of the newest position, and the position itself, NED [m], from the autopilot or its GPS."""
         if self._position is None:
             return None
-        north, east, down = self._position[1].tolist()
+        north, east, down = self._position.position.tolist()
         return self._placed_at, (north, east, down)
 
     def lack(self, now: float) -> str:
@@ -191,7 +218,7 @@ class Telemetry:
     @property
     def fault(self) -> str:
         """What is wrong with most of what came in the last window, in words; empty where most was used."""
-        return next((intake.fault for intake in self.intakes if intake.fault), "")
+        return next((intake.fault for intake in (self._frames, *self.intakes) if intake.fault), "")
 
     def has_no_place(self, now: float) -> bool:
         """Whether gyro samples come without a local position. A start by GPS says more, see `lack`."""
@@ -257,6 +284,7 @@ class Telemetry:
             self._news.warn("copies", text, self._name, self._who, copies, IMU_RATE_WINDOW_S)
         for intake in self.intakes:
             intake.judge()
+        self._judge_frames()
         shared = [
             clock
             for intake, clock in self._stamped()
@@ -264,16 +292,36 @@ class Telemetry:
         ]
         self.second_clock = shared[0].apart if shared else None
 
+    def _judge_frames(self) -> None:
+        """Damaged are bytes outside of frames where numbers are missing as well. Noise between frames costs none of
+        them, and what a router leaves out costs no bytes.
+        """
+        good, bad = self._framer.good_bytes, self._framer.bad_bytes
+        (good_before, bad_before), self._bytes_before = self._bytes_before, (good, bad)
+        came, lost = self.senders.came - self._frames.used, self.senders.lost - self._lost_before
+        self._lost_before = self.senders.lost
+        self._frames.used = self.senders.came
+        self._frames.throw(
+            DAMAGED_FRAMES, min(lost, round(came * (bad - bad_before) / max(1, good - good_before)))
+        )
+        self._frames.judge()
+
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _on_imu(self, t: float, m: Any) -> None:
         source = IMU_MESSAGES[RANKS[m.get_msgId()]]
-        # HIGHRES_IMU and RAW_IMU may come from several sensors by turns: the first is the one in use.
-        if source.numbered and m.id:
+        if source.numbered and not self._is_sensor(t, source.id, m.id):
             self.gyro.pass_over(OTHER_SENSOR)
             return
         step, stamp = self.stamps.step(t, m, source.stamp(m), source.wrap_s)
         self._take_rates(t, m, step, stamp)
+
+    def _is_sensor(self, t: float, message_id: int, number: int) -> bool:
+        """Whether this sensor is the first of those that HIGHRES_IMU or RAW_IMU comes from, by turns."""
+        heard = self._sensors.setdefault(message_id, {})
+        heard[number] = t
+        lower = max((at for other, at in heard.items() if other < number), default=self._contact.known_at)
+        return number == 0 or t - lower >= IMU_PREFERRED_S
 
     def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
         """step: of the stamp, None: a copy."""
@@ -339,59 +387,88 @@ class Telemetry:
 
     def _on_global_position(self, t: float, m: Any) -> None:
         assert self._gps is not None
-        stamp = self._position_stamp(t, m)
-        if stamp is None:
+        step, stamp = self._position_step(t, m)
+        if step in (None, StampStep.OTHER):
             return
         place = self._gps.place(t, m)
-        if place is None:
+        if place is not None:
+            self._take_place(t, step, StampedPlace(stamp, *place))
+        elif step in NEW_STAMPS:
             self.positions.pass_over(NO_FIX)
-            return
-        self.positions.used += 1
-        self._position, self._placed_at = (stamp, *place), t
 
     def _on_local_position(self, t: float, m: Any) -> None:
-        stamp = self._position_stamp(t, m)
-        if stamp is None:
-            return
-        position, velocity = (m.x, m.y, m.z), (m.vx, m.vy, m.vz)
-        if not all(
-            abs(number) < DIVERGED_LOCAL_POSE for number in position + velocity
-        ):  # NaN compares as False
-            self.positions.throw(IMPOSSIBLE)
-            return
-        self.positions.used += 1
-        self._position, self._placed_at = (stamp, np.array(position), np.array(velocity)), t
+        step, stamp = self._position_step(t, m)
+        self._local_at = t
+        place = StampedPlace(stamp, np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz)))
+        self._take_local_place(t, step, place)
 
-    def _position_stamp(self, t: float, m: Any) -> float | None:
-        """None where it is not to be used."""
+    def _take_local_place(self, t: float, step: StampStep | None, place: StampedPlace) -> None:
+        numbers = (*place.position.tolist(), *place.velocity.tolist())
+        if all(abs(number) < DIVERGED_LOCAL_POSE for number in numbers):  # NaN compares as False
+            self._take_place(t, step, place)
+        elif step in NEW_STAMPS:
+            self.positions.throw(IMPOSSIBLE)
+
+    def _position_step(self, t: float, m: Any) -> tuple[StampStep | None, float]:
         step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
-        if step is StampStep.OTHER:
-            self.positions.throw(SECOND_CLOCK)
-        return None if step in (None, StampStep.OTHER) else stamp
+        self._throw_old(self.positions, step)
+        return step, stamp
+
+    def _take_place(self, t: float, step: StampStep | None, place: StampedPlace) -> None:
+        if step not in (None, StampStep.OTHER):
+            self.senders.compare(t, places_apart, place, places_apart)
+        if step in NEW_STAMPS:
+            self.positions.used += 1
+            self._position, self._placed_at = place, t
 
     def _on_quaternion(self, t: float, m: Any) -> None:
-        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
-        self._take_rates(t, m, step, stamp)
-        if self._is_next_pose(step):
+        attitude = _from_quaternion((m.q1, m.q2, m.q3, m.q4))
+        step, stamp = self._attitude_step(t, m, attitude)
+        if step in NEW_STAMPS:
             self._quaternion_at = t
-            q = np.array((m.q1, m.q2, m.q3, m.q4))
-            self._take_attitude(t, stamp, from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None)
+            self._take_attitude(t, stamp, attitude)
 
     def _on_euler_angles(self, t: float, m: Any) -> None:
-        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
-        self._take_rates(t, m, step, stamp)
+        angles = m.roll, m.pitch, m.yaw
+        attitude = from_euler(*angles) if all(map(math.isfinite, angles)) else None
+        step, stamp = self._attitude_step(t, m, attitude)
         if t - self._quaternion_at <= QUATERNION_PREFERRED_S:
             self.attitudes.pass_over("ATTITUDE: a better message is used")
-        elif self._is_next_pose(step):
-            angles = m.roll, m.pitch, m.yaw
-            self._take_attitude(t, stamp, from_euler(*angles) if all(map(math.isfinite, angles)) else None)
+        elif step in NEW_STAMPS:
+            self._euler_at = t
+            self._take_attitude(t, stamp, attitude)
 
-    def _is_next_pose(self, step: StampStep | None) -> bool:
+    def _on_odometry(self, t: float, m: Any) -> None:
+        """Attitude and local position in one message: each is used where it does not come by a message of its own."""
+        if m.frame_id != common.MAV_FRAME_LOCAL_NED or m.child_frame_id not in BODY_FRAMES:
+            return
+        step, stamp = self.stamps.step(t, m, m.time_usec * 1e-6, MICROSECONDS_WRAP_S)
+        attitude = _from_quaternion(m.q)
+        if self._gps is None and attitude is not None and t - self._local_at > QUATERNION_PREFERRED_S:
+            position, velocity = np.array((m.x, m.y, m.z)), attitude @ (m.vx, m.vy, m.vz)
+            self._take_local_place(t, step, StampedPlace(stamp, position, velocity))
+        if t - max(self._quaternion_at, self._euler_at) <= QUATERNION_PREFERRED_S:
+            self.attitudes.pass_over("ODOMETRY: a better message is used")
+        elif step in NEW_STAMPS:
+            self._take_attitude(t, stamp, attitude)
+
+    def _attitude_step(self, t: float, m: Any, attitude: Array | None) -> tuple[StampStep | None, float]:
+        """What its stamp is, see `AutopilotStamps.step`; its rates are taken."""
+        message_id = m.get_msgId()
+        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        self._take_rates(t, m, step, stamp)
+        if attitude is not None and step not in (None, StampStep.OTHER):
+            said = StampedAttitude(stamp, attitude, math.hypot(m.rollspeed, m.pitchspeed, m.yawspeed))
+            self.senders.compare(t, (attitudes_apart, message_id), said, attitudes_apart)
+        if message_id == ATTITUDE_QUATERNION or t - self._quaternion_at > QUATERNION_PREFERRED_S:
+            self._throw_old(self.attitudes, step)
+        return step, stamp
+
+    def _throw_old(self, intake: Intake, step: StampStep | None) -> None:
         if step is StampStep.OTHER:
-            self.attitudes.throw(SECOND_CLOCK)
+            intake.throw(SECOND_CLOCK)
         elif step is StampStep.SAME:
-            self.attitudes.throw(STANDING_CLOCK)
-        return step in (StampStep.NEXT, StampStep.REBOOT, StampStep.REPLACED)
+            intake.throw(STANDING_CLOCK)
 
     def _take_attitude(self, t: float, stamp: float, attitude: Array | None) -> None:
         """attitude: (3, 3) world_from_body; None: none that is possible."""
@@ -405,7 +482,7 @@ class Telemetry:
             self.attitudes.throw(OTHER_CLOCK)
             return
         ours = clock_map.to_ours(stamp)
-        if self._position is None or abs(stamp - self._position[0]) > LOCAL_POSITION_AGE_S:
+        if self._position is None or abs(stamp - self._position.stamp) > LOCAL_POSITION_AGE_S:
             self._poses_without_position += 1
             where = None
         else:
@@ -539,3 +616,9 @@ class Telemetry:
         self.clock_map.observe(stamp, t)
         if self.clock_map.resyncs > resyncs:
             self._news.warn("resync", "hard resync of the autopilot's clock, no. %d", self.clock_map.resyncs)
+
+
+def _from_quaternion(numbers: Sequence[float]) -> Array | None:
+    """(3, 3) world_from_body of w, x, y, z as sent; None where they are none."""
+    q = np.array(numbers)
+    return from_quaternion(q) if 0.9 < float(q @ q) < 1.1 else None

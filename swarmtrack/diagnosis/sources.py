@@ -48,7 +48,7 @@ CAMERA_TROUBLES = (
     ("camera.silent", r"waiting for the first frame|no frame for|no frame yet|nothing for|not opened yet"),
 )
 AUTOPILOT_TROUBLES = (
-    ("autopilot.shared", r"two autopilots send as system"),
+    ("autopilot.shared", r"two autopilots send (as system|under one ID)"),
     ("autopilot.second", r"autopilots send, "),
     ("autopilot.too_slow", r"the gyro is too slow"),
     ("autopilot.thrown_away", r": faulty: "),
@@ -228,6 +228,8 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
         findings.append(fault("autopilot.strangers", count=foreign))
     if facts.live:
         findings += _check_clock(numbers, setting)
+    if findings and (beside := re.search(r"also on the link: .*", text)):
+        findings.append(ok("autopilot", beside[0]))
     return findings or [ok("autopilot", text)]
 
 

@@ -69,14 +69,12 @@ async def test_positions_are_carried_to_the_time_of_the_attitude():
     autopilot = FakeAutopilot()
     async with Flight(autopilot) as flight:
         flight.fly(3.0)
-        message = common.MAVLink_local_position_ned_message(
-            int(autopilot.stamp(flight.clock.now()) * 1e3), 5, 6, -7, 8, 0, 0
-        )
+        stamp = int(autopilot.stamp(flight.clock.now()) * 1e3) + 1
+        message = common.MAVLink_local_position_ned_message(stamp, 5, 6, -7, 8, 0, 0)
         autopilot.offered = ()
         before = len(flight.listener.poses)
         flight.unit.received(flight.clock.now(), autopilot.frame(message))
-        later = int(autopilot.stamp(flight.clock.now()) * 1e3) + 100
-        attitude = common.MAVLink_attitude_quaternion_message(later, 1, 0, 0, 0, 0, 0, 0)
+        attitude = common.MAVLink_attitude_quaternion_message(stamp + 100, 1, 0, 0, 0, 0, 0, 0)
         flight.unit.received(flight.clock.now() + 0.1, autopilot.frame(attitude))
         assert len(flight.listener.poses) == before + 1
         np.testing.assert_allclose(flight.listener.poses[-1].position, (5 + 8 * 0.1, 6, -7), atol=1e-6)

@@ -102,6 +102,7 @@ class Recorder:
     def __init__(self, ours: bytes = b"") -> None:
         self.is_open = asyncio.Event()
         self.data: list[tuple[float, bytes]] = []
+        self.beside: list[bytes] = []
         self._ours = ours
         self._came = asyncio.Event()
 
@@ -112,6 +113,9 @@ class Recorder:
         self.data.append((t, data))
         self._came.set()
         return bool(self._ours) and self._ours in data
+
+    def overheard(self, t: float, data: bytes) -> None:
+        self.beside.append(data)
 
     @property
     def bytes(self) -> bytes:
@@ -179,6 +183,7 @@ async def test_udpin_keeps_to_its_first_peer_while_that_lives(caplog):
                 assert (await asyncio.to_thread(autopilot.recv, 100)) == b"answer"
             assert b"forged" not in receiver.bytes
             assert link.foreign == 4
+            assert receiver.beside == 2 * [b"forged autopilot", b"forged"]
             (said,) = caplog.messages
             assert f"127.0.0.1 port {stranger.getsockname()[1]} sends as well: ignored" in said
             # A router that was restarted speaks from another port.

@@ -16,12 +16,13 @@ from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, FakePx4
 from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidates
 from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.diagnosis.sources import AutopilotFacts, check_autopilot
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
 from swarmtrack.lab.autopilots.firmware import ModeNumbers
-from swarmtrack.lab.autopilots.senses import GpsFix
+from swarmtrack.lab.autopilots.senses import GpsFix, SensedState
 
 ATTITUDE_QUATERNION: int = common.MAVLINK_MSG_ID_ATTITUDE_QUATERNION
 ORIGIN = Geodetic.from_degrees(-35.363262, 149.165237, 584.0)
@@ -56,6 +57,35 @@ class TwoWays(Heard):
         self._second.extend((now + self._late, data) for data in sent if self._random.random() < self._share)
         while self._second and self._second[0][0] <= now:
             yield self._second.popleft()[1]
+
+
+class LossyWays(TwoWays):
+    """Two ways that lose a share of all frames each; of the second one they come in MAVLink 1."""
+
+    def __init__(self, autopilot: Any, late: float, lost: float) -> None:
+        super().__init__(autopilot, late, 1.0 - lost)
+        self._lost = lost
+        self.is_off = False
+
+    def brings(self, now: float, sent: list[bytes]) -> Iterator[bytes]:
+        framer = Framer()
+        frames = [frame.data for data in sent for frame in framer.datagram(data) if not self.is_off]
+        self._second.extend(
+            (now + self._late, as_version_1(message))
+            for frame in frames
+            if self._random.random() >= self._lost
+            for message in self.autopilot.parse(frame)
+        )
+        yield from (frame for frame in frames if self._random.random() >= self._lost)
+        while self._second and self._second[0][0] <= now:
+            yield self._second.popleft()[1]
+
+
+class Deaf(Heard):
+    """An autopilot to which nothing gets."""
+
+    def receive(self, data: bytes, now: float) -> None:
+        """Nothing is heard."""
 
 
 class Silent(Heard):
@@ -115,6 +145,38 @@ async def test_a_late_copy_of_a_heartbeat_does_not_engage_a_drone_that_its_pilot
     assert stages[-40:] == 40 * [False]
 
 
+@pytest.mark.parametrize("lost", [0.1, 0.4])
+@pytest.mark.parametrize("late", [0.004, 0.2, 1.3])
+async def test_two_ways_that_lose_frames_are_one_autopilot(late, lost):
+    autopilot = FakeAutopilot(boot_at=60.0)
+    engagement = PilotEngagement()
+    async with Flight(LossyWays(autopilot, late, lost), engagement=engagement) as flight:
+        pilot = autopilot.pilot
+        pilot.armed, pilot.status = True, common.MAV_STATE_ACTIVE
+        for mode in (5, 4):
+            pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+            flight.fly(8.0)
+        assert engagement.engaged
+        assert flight.unit.status().ok
+        assert flight.listener.reboots == 0
+        assert flight.count["copies"] > 200
+
+
+async def test_a_reboot_is_one_by_two_ways_that_lose_frames():
+    autopilot = FakeAutopilot(boot_at=60.0)
+    ways = LossyWays(autopilot, 1.3, 0.2)
+    async with Flight(ways) as flight:
+        flight.fly(8.0)
+        ways.is_off = True
+        flight.fly(2.0)
+        ways.is_off = False
+        autopilot.reboot(flight.clock.now())
+        for _ in range(8):
+            flight.fly(1.0)
+            assert "two autopilots" not in flight.text
+        assert flight.listener.reboots == 1
+
+
 # --- two under one ID --------------------------------------------------------------------------------
 
 
@@ -146,33 +208,142 @@ async def test_two_vehicles_of_one_id_are_said_and_the_first_one_s_clock_is_kept
         assert flight.unit.status().ok
 
 
+def engage(flight: Flight, engagement: PilotEngagement, *autopilots: FakeAutopilot) -> None:
+    for autopilot in autopilots:
+        autopilot.pilot.armed, autopilot.pilot.status = True, common.MAV_STATE_ACTIVE
+    for mode in (5, 4):
+        for autopilot in autopilots:
+            autopilot.pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+        tick(flight, engagement, 3.0)
+    assert engagement.engaged
+
+
+def tick(flight: Flight, engagement: PilotEngagement, seconds: float) -> None:
+    for _ in range(round(10 * seconds)):
+        flight.fly(0.1)
+        engagement.tick(flight.clock.now())
+
+
 async def test_another_vehicle_of_our_id_ends_the_engagement():
     ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=20.0)
     engagement = PilotEngagement()
     async with Flight(ours, engagement=engagement) as flight:
-        for autopilot in (ours, other):
-            autopilot.pilot.armed, autopilot.pilot.status = True, common.MAV_STATE_ACTIVE
-        for mode in (5, 4):
-            for autopilot in (ours, other):
-                autopilot.pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
-            for _ in range(30):
-                flight.fly(0.1)
-                engagement.tick(flight.clock.now())
-        assert engagement.engaged
+        engage(flight, engagement, ours, other)
         other.set_interval(ATTITUDE_QUATERNION, 20_000, flight.clock.now())
         flight.autopilots = (ours, other)
-        for _ in range(60):
-            flight.fly(0.1)
-            engagement.tick(flight.clock.now())
+        tick(flight, engagement, 6.0)
         assert not engagement.engaged
         assert engagement.take_end() == "two autopilots send as system 1"
 
 
-async def test_two_kinds_of_vehicle_of_one_id_are_told_apart_by_their_heartbeats():
-    plane = Silent(1, common.MAV_TYPE_FIXED_WING, after=3.0)
-    async with Flight(FakeAutopilot(boot_at=60.0), plane) as flight:
+@pytest.mark.parametrize(("kind", "system_id"), [("quadrotor", None), ("quadrotor", 1), ("tracker", None)])
+async def test_another_vehicle_that_comes_later_ends_the_engagement(kind, system_id):
+    """For the first may have been a neighbour's."""
+    ours, rival = FakeAutopilot(boot_at=60.0), Silent(2, QUADROTOR if kind == "quadrotor" else TRACKER)
+    engagement = PilotEngagement()
+    async with Flight(ours, engagement=engagement, system_id=system_id) as flight:
+        engage(flight, engagement, ours)
+        flight.autopilots = (ours, rival)
+        tick(flight, engagement, 3.0)
+        is_rival = kind == "quadrotor" and system_id is None
+        assert engagement.engaged != is_rival
+        assert engagement.take_end() == ("two autopilots send, 1/1 and 2/1" if is_rival else "")
+
+
+class Circling(FakeAutopilot):
+    """Flies a circle of 20 m at 10 m/s, and begins to count its frames anywhere."""
+
+    def __init__(self, number: int = 0) -> None:
+        super().__init__(boot_at=60.0)
+        self.channels[0].mav.seq = number
+
+    def at(self, t: float) -> SensedState:
+        angle = 0.5 * t
+        east, north = math.sin(angle), math.cos(angle)
+        return (
+            super()
+            .at(t)
+            ._replace(
+                q=np.array((math.cos(0.5 * angle), 0.0, 0.0, math.sin(0.5 * angle))),
+                position=np.array((20.0 * north, 20.0 * east, -5.0)),
+                velocity=np.array((-10.0 * east, 10.0 * north, 0.0)),
+            )
+        )
+
+
+@pytest.mark.parametrize("apart", [0.0, 0.0025])
+async def test_two_vehicles_of_one_id_whose_clocks_agree_are_told_apart_by_their_places(apart):
+    """As two simulations that were started together."""
+    ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=60.0 - apart)
+    other.position = np.array((51.0, 2.0, -3.0))
+    other.channels[0].mav.seq = 100
+    async with Flight(ours, other, engagement=PilotEngagement()) as flight:
+        flight.fly(6.0)
+        assert (
+            ": faulty: two autopilots send as system 1 component 1, their places are 50 m apart: "
+            in flight.text
+        )
+
+
+async def test_a_second_vehicle_of_our_id_is_told_apart_by_its_heartbeats_alone():
+    ours = FakeAutopilot(boot_at=60.0)
+    engagement = PilotEngagement()
+    async with Flight(ours, Silent(1, common.MAV_TYPE_QUADROTOR), engagement=engagement) as flight:
+        ours.pilot.armed, ours.pilot.status = True, common.MAV_STATE_ACTIVE
         flight.fly(8.0)
-        assert "two autopilots send as system 1 component 1, a quadrotor and a plane: " in flight.text
+        assert "two autopilots send as system 1 component 1, their flight states differ: " in flight.text
+
+
+async def test_a_slow_second_vehicle_of_our_id_is_told_apart_by_its_clock():
+    ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=-440.0)
+    async with Flight(ours) as flight:
+        flight.fly(4.0)
+        other.set_interval(ATTITUDE_QUATERNION, 250_000, flight.clock.now())
+        flight.autopilots = (ours, Deaf(other))
+        flight.fly(6.0)
+        assert "two autopilots send as system 1 component 1, their clocks are 500 s apart: " in flight.text
+
+
+async def test_two_ports_of_one_autopilot_are_one():
+    """Each has its own sequence numbers and heartbeats."""
+    ports = Circling(), Circling(number=77)
+    async with Flight(*ports) as flight:
+        for mode in (5, 4, 5):
+            for port in ports:
+                port.pilot.mode = ModeNumbers(0, common.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mode)
+                # A port that is slow sends the old mode for a while.
+                flight.fly(2.5)
+                assert flight.unit.status().ok
+            flight.fly(3.0)
+            assert flight.unit.status().ok
+
+
+async def test_frames_that_are_lost_and_change_places_are_one_autopilot_s():
+    class Router(Heard):
+        """Loses every fifth frame and, now and then, a tenth of a second; changes the order of neighbours."""
+
+        def brings(self, now: float, sent: list[bytes]) -> Iterator[bytes]:
+            framer = Framer()
+            frames = [frame.data for data in sent for frame in framer.datagram(data)]
+            kept = [data for data in frames if chance.random() > 0.2 and now % 1.7 > 0.1]
+            yield from reversed(kept)
+
+    chance = random.Random(7)
+    async with Flight(Router(Circling())) as flight:
+        for _ in range(30):
+            flight.fly(1.0)
+            assert "two autopilots" not in flight.text
+
+
+@pytest.mark.parametrize(
+    ("kind", "named"),
+    [(common.MAV_TYPE_FIXED_WING, "a plane"), (common.MAV_TYPE_ANTENNA_TRACKER, "an antenna tracker")],
+)
+async def test_two_kinds_of_vehicle_of_one_id_are_told_apart_by_their_heartbeats(kind, named):
+    other = Silent(1, kind, after=3.0)
+    async with Flight(FakeAutopilot(boot_at=60.0), other) as flight:
+        flight.fly(8.0)
+        assert f"two autopilots send as system 1 component 1, a quadrotor and {named}: " in flight.text
 
 
 # --- who is ours -------------------------------------------------------------------------------------
@@ -284,6 +455,67 @@ async def test_a_second_vehicle_that_comes_later_is_said_and_the_first_one_kept(
         assert len(flight.listener.imu) - before == pytest.approx(200, abs=3)
 
 
+async def test_a_neighbour_that_was_first_at_a_udp_port_is_contested_by_ours():
+    """The socket does not read what other addresses send, but heartbeats."""
+    neighbour, ours = FakeAutopilot(system=2, boot_at=60.0), Silent(1, QUADROTOR)
+    async with Flight(neighbour) as flight:
+        flight.fly(4.0)
+        assert flight.unit.status().ok
+        for _ in range(3):
+            flight.fly(1.0)
+            for data in ours.step(flight.clock.now()):
+                flight.unit.overheard(flight.clock.now(), data)
+        assert "two autopilots send, 2/1 is used and 1/1 (quadrotor) came later" in flight.text
+
+
+@pytest.mark.parametrize("same_state", [True, False])
+async def test_heartbeats_of_our_id_from_another_port_are_a_second_autopilot_s_where_they_contradict(
+    same_state,
+):
+    ours = FakeAutopilot(boot_at=60.0)
+    copy = FakeAutopilot(boot_at=60.0)
+    copy.pilot.armed = ours.pilot.armed == same_state
+    async with Flight(ours) as flight:
+        flight.fly(4.0)
+        for _ in range(7000):
+            flight.fly(0.001)
+            for data in copy.step(flight.clock.now()):
+                flight.unit.overheard(flight.clock.now(), data)
+        assert ("their flight states differ" in flight.text) != same_state
+
+
+async def test_overheard_senders_cost_little_and_never_feed_data():
+    async with Flight(FakeAutopilot(boot_at=60.0)) as flight:
+        flight.fly(3.0)
+        beats = [FakeAutopilot(system=2 + n % 250) for n in range(500)]
+        flood = [next(iter(beat.step(flight.clock.now()))) for beat in beats]
+        samples = len(flight.listener.imu)
+        for data in flood:
+            flight.unit.overheard(flight.clock.now(), data)
+        assert len(flight.listener.imu) == samples
+        assert flight.unit._overheard == 500
+        assert flight.text.count("/1 (quadrotor)") <= 20
+
+
+@pytest.mark.parametrize("other", ["twin", "second way"])
+async def test_two_ports_that_send_as_one_autopilot_are_not_chosen_between(other):
+    ours, twin = FakePx4(boot_at=60.0), FakePx4(boot_at=90.0)
+    async with Flight() as flight:
+        for _ in range(4000):
+            flight.fly(0.001)
+            now = flight.clock.now()
+            sent = ours.step(now)
+            for port, frames in ((5001, sent), (5002, twin.step(now) if other == "twin" else sent)):
+                for data in frames:
+                    flight.unit.received(now, data, ("10.0.0.1", port))
+        assert bool(flight.unit.system) != (other == "twin")
+        if other == "twin":
+            ports = "from 10.0.0.1 port 5001 and 10.0.0.1 port 5002: give each vehicle an ID of its own"
+            assert f"two autopilots send under one ID, {ports}" in flight.text
+            (finding,) = check_autopilot(AutopilotFacts(8.0, status=flight.unit.status()))
+            assert finding.remedy.startswith("set another ID in one of them")
+
+
 async def test_an_autopilot_that_is_not_component_1_is_asked_by_its_own():
     autopilot = FakeAutopilot(component=42, boot_at=60.0)
     async with Flight(autopilot) as flight:
@@ -358,6 +590,40 @@ async def test_where_more_is_thrown_away_than_used_the_link_is_not_ok_and_says_w
         assert finding.found.startswith("most of what the autopilot sends cannot be used: ")
 
 
+class Damaged(Heard):
+    """Spoils a share of all frames, and puts noise in front of others."""
+
+    def __init__(self, autopilot: Any, share: float, *, noise: bytes = b"", left_out: float = 0.0) -> None:
+        super().__init__(autopilot)
+        self._share, self._noise, self._left_out, self._random = share, noise, left_out, random.Random(3)
+
+    def brings(self, now: float, sent: list[bytes]) -> Iterator[bytes]:
+        framer = Framer()
+        for data in sent:
+            for frame in framer.datagram(data):
+                spoilt = bytearray(self._noise + frame.data)
+                if self._random.random() < self._share:
+                    spoilt[-1] ^= 0x55
+                if self._random.random() >= self._left_out:
+                    yield bytes(spoilt)
+
+
+@pytest.mark.parametrize(
+    ("link", "is_ok"),
+    [
+        ({"share": 0.65}, False),
+        ({"share": 0.2}, True),
+        ({"share": 0.0, "noise": 80 * b"\xfd"}, True),
+        ({"share": 0.0, "left_out": 0.65}, True),
+    ],
+)
+async def test_a_link_that_damages_most_frames_is_not_ok(link, is_ok):
+    async with Flight(Damaged(FakeAutopilot(boot_at=60.0), **link)) as flight:
+        flight.fly(14.0)
+        assert flight.unit.status().ok == is_ok
+        assert ("frames in 2 s thrown away: damaged on the way" in flight.text) != is_ok
+
+
 WITHOUT_ATTITUDE = tuple(
     n for n in SimulatedArduPilot.offers if n not in (ATTITUDE_QUATERNION, common.MAVLINK_MSG_ID_ATTITUDE)
 )
@@ -418,6 +684,42 @@ async def test_euler_angles_are_the_attitude_where_there_is_no_quaternion():
         np.testing.assert_allclose(found, (math.cos(0.8), math.sin(0.8), 0.0), atol=1e-6)
 
 
+class Odometry(FakeAutopilot):
+    """Sends attitude and local position as ODOMETRY, alone or as well."""
+
+    def __init__(self, *, alone: bool) -> None:
+        super().__init__(boot_at=60.0)
+        self._alone = alone
+
+    def _report(self, message_id: int, stamp: float) -> Any:
+        if message_id == ATTITUDE_QUATERNION:
+            unknown = [math.nan] * 21
+            odometry = common.MAVLink_odometry_message(
+                round(stamp * 1e6), 1, 12, *self.position, self.q, 2.0, 0.0, 0.0, 0, 0, 0, unknown, unknown
+            )
+            self.channels[0].send(odometry)
+        spared = (30, ATTITUDE_QUATERNION, 32) if self._alone else ()
+        return None if message_id in spared else super()._report(message_id, stamp)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+async def test_odometry_is_attitude_and_place_where_neither_comes_by_itself(alone):
+    autopilot = Odometry(alone=alone)
+    autopilot.q = np.array((math.cos(0.4), 0.0, 0.0, math.sin(0.4)))  # yaw 0.8
+    async with Flight(autopilot) as flight:
+        autopilot.set_interval(ATTITUDE_QUATERNION, 20_000, flight.clock.now())
+        flight.fly(4.0)
+        before = len(flight.listener.poses)
+        flight.fly(3.0)
+        assert len(flight.listener.poses) - before == pytest.approx(150, abs=10)
+        pose = flight.listener.poses[-1]
+        np.testing.assert_allclose(
+            pose.world_from_body @ (1, 0, 0), (math.cos(0.8), math.sin(0.8), 0.0), atol=1e-6
+        )
+        np.testing.assert_allclose(pose.position, autopilot.position, atol=1e-6)
+        assert flight.unit.status().ok
+
+
 async def test_both_attitudes_are_not_used_twice():
     autopilot = FakeAutopilot(boot_at=60.0)
     async with Flight(autopilot) as flight:
@@ -426,6 +728,56 @@ async def test_both_attitudes_are_not_used_twice():
         before = len(flight.listener.poses)
         flight.fly(4.0)
         assert len(flight.listener.poses) - before == pytest.approx(200, abs=3)
+
+
+class OtherSensors(FakeAutopilot):
+    """Of its first sensor nothing comes."""
+
+    def __init__(self, kind: str) -> None:
+        super().__init__(boot_at=60.0)
+        self._kind = kind
+
+    def _report(self, message_id: int, stamp: float) -> Any:
+        report = super()._report(message_id, stamp)
+        if report is None or message_id not in (27, 26, 105):
+            return report
+        milli = [round(1e3 * rate) for rate in self.gyro]
+        match self._kind:
+            case "SCALED_IMU2" if message_id == 105:
+                return common.MAVLink_scaled_imu2_message(round(1e3 * stamp), 0, 0, -1000, *milli, 0, 0, 0)
+            case "SCALED_IMU3" if message_id == 105:
+                return common.MAVLink_scaled_imu3_message(round(1e3 * stamp), 0, 0, -1000, *milli, 0, 0, 0)
+            case "HIGHRES_IMU":
+                report.id = 1
+                return report
+        return None
+
+
+@pytest.mark.parametrize("kind", ["SCALED_IMU2", "SCALED_IMU3", "HIGHRES_IMU"])
+async def test_another_sensor_s_gyro_is_used_where_the_first_is_silent(kind):
+    autopilot = OtherSensors(kind)
+    async with Flight(autopilot) as flight:
+        # As SRn_RAW_SENS makes it come.
+        autopilot.set_interval(105, 5000, flight.clock.now())
+        flight.fly(9.0)
+        assert f"200 Hz got from {kind}" in flight.text
+        np.testing.assert_allclose(flight.listener.imu[-1].gyro, autopilot.gyro, atol=1e-3)
+
+
+async def test_of_several_sensors_by_turns_the_first_one_is_used():
+    class Both(FakeAutopilot):
+        def _report(self, message_id: int, stamp: float) -> Any:
+            report = super()._report(message_id, stamp)
+            if message_id == 105 and report is not None:
+                second = super()._report(message_id, stamp + 1e-3)
+                second.id, second.xgyro = 1, 2.0
+                self.channels[0].send(second)
+            return report
+
+    async with Flight(Both(boot_at=60.0)) as flight:
+        flight.fly(6.0)
+        assert flight.count["imu_samples"] == pytest.approx(200 * 4.8, abs=20)
+        assert max(sample.gyro[0] for sample in flight.listener.imu) < 1.0
 
 
 async def test_an_old_autopilot_s_group_of_attitudes_is_read():
@@ -480,9 +832,9 @@ class HearsVersion1(Heard):
 
 
 def as_version_1(message: Any) -> bytes:
-    message.pack(
-        common.MAVLink(None, message.get_srcSystem(), message.get_srcComponent()), force_mavlink1=True
-    )
+    mav = common.MAVLink(None, message.get_srcSystem(), message.get_srcComponent())
+    mav.seq = message.get_seq()
+    message.pack(mav, force_mavlink1=True)
     return bytes(message.get_msgbuf())
 
 

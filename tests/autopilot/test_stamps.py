@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from swarmtrack.autopilot.boot_clock import StampStep
+from swarmtrack.autopilot.senders import SenderWatch
 from swarmtrack.autopilot.stamps import AutopilotStamps
 
 WRAP_S = 2**32 * 1e-3
@@ -13,12 +14,17 @@ RAW_IMU, HIGHRES_IMU = 27, 105
 class Message:
     id: int
     stamp: float
+    number: int = 0
+
+    def get_seq(self):
+        return self.number
 
     def get_msgId(self):
         return self.id
 
-    def get_payload(self):
-        return repr(self.stamp).encode()
+    def get_msgbuf(self):
+        payload = repr(self.stamp).encode()
+        return bytes((0xFE, len(payload), self.number, 1, 1, self.id)) + payload + b"\0\0"
 
 
 def heard(stamps, t, id, stamp):
@@ -28,7 +34,9 @@ def heard(stamps, t, id, stamp):
 def streaming(begun):
     """After ten seconds of one kind of message, whose last came at 10 s."""
     begins = []
-    stamps = AutopilotStamps(wrapped=lambda: None, begun_again=lambda *news: begins.append(news))
+    stamps = AutopilotStamps(
+        SenderWatch(), wrapped=lambda: None, begun_again=lambda *news: begins.append(news)
+    )
     for k in range(101):
         assert heard(stamps, 0.1 * k, HIGHRES_IMU, begun + 0.1 * k) in (StampStep.NEXT, StampStep.SAME)
     return stamps, begins

@@ -86,6 +86,13 @@ def autopilot(text="udpin:0.0.0.0:1: streaming: IMU 200 Hz", *, ok=True, **chang
     )
 
 
+def test_others_on_the_link_are_named_beside_another_finding():
+    text = "udpin:0.0.0.0:1: streaming: IMU 200 Hz, also on the link: 2/1 (antenna tracker)"
+    beside = "also on the link: 2/1 (antenna tracker)"
+    assert [one.found for one in autopilot(text)] == [text]
+    assert autopilot(text, foreign_datagrams=7)[-1].found == beside
+
+
 def imu(accel, *, gyro=(0.0, 0.0, 0.0), rpy=(0.0, 0.0, 0.0)):
     attitudes = np.repeat(rotation.from_euler(*rpy)[None], 50, axis=0)
     samples = [np.tile(np.array(each, dtype=float), (200, 1)) for each in (gyro, accel)]

@@ -132,6 +132,9 @@ class TruthLink:
             ours |= self._on_frame(t, frame)
         return ours
 
+    def overheard(self, t: float, data: bytes) -> None:
+        """Other senders are of no interest."""
+
     def _on_frame(self, t: float, frame: MavlinkFrame) -> bool:
         if frame.component != TRUTH_AUTOPILOT_COMPONENT:
             return False
