@@ -13,7 +13,7 @@ import pytest
 
 from support.autopilot_flight import Listener
 from support.mutants import MUTANTS, mutants
-from support.patience import soon
+from support.patience import soon, soon_and_small
 from support.places import SHARED
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.autopilot import log_files
@@ -303,12 +303,11 @@ def test_a_mutant_of_a_log_is_read_soon_or_refused_in_a_sentence(tmp_path, count
     read, refused = 0, []
     for mutant in mutants(good, count, seed=5):
         path.write_bytes(mutant)
-        begin = time.process_time()
         try:
-            read += bool(read_ulog(path).records)
+            with soon_and_small():
+                read += bool(read_ulog(path).records)
         except SourceError as error:
             refused.append(str(error))
-        assert time.process_time() - begin < 2.0
     assert read > 0.3 * count
     assert all(sentence.isprintable() for sentence in refused)
 
