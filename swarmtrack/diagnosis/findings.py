@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import enum
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -575,4 +576,5 @@ def worst(findings: Iterable[Finding]) -> Level:
 
 
 if __name__ == "__main__":
-    print(markdown_table())
+    # A part of docs/troubleshooting.md, whatever the terminal's encoding.
+    sys.stdout.buffer.write(f"{markdown_table()}\n".encode())

@@ -254,6 +254,14 @@ def test_whatever_the_camera_is_called_it_stays_one_string(config, tmp_path):
     assert load_config(tmp_path / "drone-1.toml").camera.source == source
 
 
+def test_half_a_character_in_an_answer_is_said(config, tmp_path):
+    words = ("--id", 1, "--camera", "sim://hover-triangle", "--autopilot", "sim")
+    code, _, err = config("new", *words, "--team", "r\udce9d")
+    assert code == 2
+    assert r"team r\udce9', expected text" in err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_simulated_camera_needs_no_lens(config, tmp_path):
     code, _, err = config("new", "--id", 1, "--camera", "sim://hover-triangle", "--autopilot", "sim")
     assert code == 0, err
@@ -268,7 +276,8 @@ class Terminal:
         self.said = ""
         self.process = subprocess.Popen(
             [sys.executable, "-m", "swarmtrack.agents.main", "config", "new", *words],
-            stdin=theirs, stdout=theirs, stderr=theirs, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdin=theirs, stdout=theirs, stderr=theirs, cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8:strict"},
         )  # fmt: skip
         os.close(theirs)
 
@@ -278,7 +287,7 @@ class Terminal:
             assert time.monotonic() < deadline, self.said
             if select.select([self._ours], [], [], 0.1)[0]:
                 try:
-                    self.said += os.read(self._ours, 4096).decode()
+                    self.said += os.read(self._ours, 4096).decode(errors="replace")
                 except OSError:  # the other end has gone
                     break
         assert words in self.said, self.said
@@ -286,7 +295,7 @@ class Terminal:
 
     def answer(self, question, text):
         self.until(question)
-        os.write(self._ours, text.encode() + b"\n")
+        os.write(self._ours, text.encode(errors="surrogateescape") + b"\n")
 
 
 def test_on_a_terminal_it_asks_and_asks_again(tmp_path):
@@ -294,6 +303,8 @@ def test_on_a_terminal_it_asks_and_asks_again(tmp_path):
     person.answer("ID of the drone", "seven")
     person.until("found seven, expected a whole number")
     person.answer("ID of the drone", "7")
+    person.answer("name of the team [swarm]", "r\udce9d")
+    person.until("not in this terminal's encoding")
     person.answer("name of the team [swarm]", "red")
     person.answer("camera", "")
     person.answer("calibration file", "nothing.yaml")
