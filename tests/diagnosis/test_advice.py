@@ -30,11 +30,12 @@ from swarmtrack.diagnosis.findings import FAULTS, Finding
 from swarmtrack.diagnosis.mounting import MountFacts, check_calibration, check_mount
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.diagnosis.surroundings import NetworkFacts, check_detector, check_disk, check_network
-from swarmtrack.doctor import machine, team
+from swarmtrack.doctor import team
 from swarmtrack.doctor.examination import detector_facts, mount_facts
 from swarmtrack.errors import TransportError
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.messages import LinkStatus, StampKind
+from swarmtrack.runtime.disk_facts import disk_facts
 from swarmtrack.runtime.network_facts import network_facts
 from swarmtrack.security import names
 from swarmtrack.security.authority import Authority, create_authority, open_authority
@@ -244,7 +245,7 @@ def detector(name: str, wrong: str, right: str) -> Callable[[Path], tuple[Before
 def disk_unwritable(folder: Path) -> tuple[Before, After]:
     def look(path: Path) -> list[Finding]:
         config = load_config(written(folder, output=f"jsonl = {json.dumps(str(path))}"))
-        return [each for each in check_disk(machine.disk(config)) if each.fault == "disk.unwritable"]
+        return [each for each in check_disk(disk_facts(config)) if each.fault == "disk.unwritable"]
 
     (folder / "a-file").write_text("")
     return look(folder / "a-file" / "t.jsonl"), look(folder / "t.jsonl")

@@ -135,6 +135,30 @@ def test_a_door_that_is_open_to_others_than_the_autopilot_is_warned_of(config, t
     assert (f"warning: {link} accepts MAVLink from any host that reaches it" in out) == warned
 
 
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        ("[camera.body_from_camera]\nrpy_deg = [0, 1.5708, 0]\n", "looks like radians: write degrees"),
+        (
+            "[camera.body_from_camera]\nposition_m = [10, 0, 0]\n",
+            "the camera is 10.0 m from the drone's centre",
+        ),
+        ('[detector]\nproviders = ["qnn", "cpu"]\n', "qnn was the first choice, but the network runs on cpu"),
+        (
+            '[recording]\ndir = "/dev/null/flights"\n',
+            "recording.dir cannot be written: /dev/null: is not a folder",
+        ),
+    ],
+    ids=["radians", "centimetres", "provider", "no folder"],
+)
+def test_what_doctor_would_say_of_a_config_alone_is_warned_of(config, tmp_path, extra, said):
+    written = drone(tmp_path, 1, 1, extra)
+    code, out, _ = config("check", written)
+    assert code == 0
+    assert re.search(f"^warning: .*{re.escape(said)}", out, re.MULTILINE)
+    assert said not in config("check", drone(tmp_path, 2, 2))[1]
+
+
 def test_a_guessed_lens_has_the_angle_that_was_told_and_says_that_it_is_a_guess(config, tmp_path):
     code, out, _ = config("new", "--id", 1, "--size", "800x600", "--fov", "90")
     lens = load_config(tmp_path / "drone-1.toml").camera
