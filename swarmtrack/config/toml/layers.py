@@ -27,7 +27,7 @@ MAX_CONFIG_BYTES = (
 )  # a config is a page; a recording given by mistake is refused before it is parsed
 MOST_FILES = 32  # that one config extends, one that is reached by several ways counted each time
 MOST_PARTS = 64  # of a dotted key: a parser takes time by their square
-MOST_BITS = 64  # of a whole number; Python refuses to show one of thousands
+MOST_BITS = 10_000  # of a whole number: Python shows none of 4300 digits
 # Beyond these a value's end is not looked for: only the line in an error message is lost.
 MAX_STATEMENT_LINES = 200
 MAX_SEARCHED = 1 << 20  # characters parsed, some of them again and again
