@@ -23,6 +23,7 @@ from swarmtrack.log_lines import log_to_stderr
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.security.names import Role
 from swarmtrack.transport import settings, topology
+from swarmtrack.transport.addresses import check_addresses
 from swarmtrack.transport.following import follow_roster
 from swarmtrack.transport.link_watch import LinkWatch, links_up
 from swarmtrack.transport.listening import credentials_in
@@ -56,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
     credentials = None if args.keys is None else credentials_in(args.keys, Role.ROUTER)
     with config.blamed("network"):
         network = topology.of_router(config.network, args.listen, credentials)
+        check_addresses(config.network, secured=credentials is not None, router=network.listen[0])
         settings.check(network)
     try:
         newer = asyncio.run(relay(network, args.seconds, args.quiet))

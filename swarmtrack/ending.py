@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 ZENOH_THREADS = "zenoh "  # what `transport.zenoh_session.bounded` names its threads
 
@@ -33,12 +35,20 @@ def print_in_any_encoding() -> None:
 
 @contextmanager
 def reader_may_leave() -> Iterator[None]:
-    """Around all that a program prints: `swarmtrack sim --list | head` has read enough, and nothing has failed."""
+    """Around all that a program prints: `swarmtrack sim --list | head` has read enough, and nothing has failed. A full
+    disk ends the program in a sentence.
+    """
     try:
         try:
             yield
         finally:
             if sys.stdout is not None:  # it was closed before we began
                 sys.stdout.flush()  # what is left is written as the interpreter ends, where nobody catches anything
-    except BrokenPipeError:
+    except OSError as error:
+        if error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if error.errno == errno.ENOSPC:
+            raise SystemExit(
+                f"{Path(sys.argv[0]).name}: {error}, expected space for all that is written"
+            ) from None

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
 
 from support.calibrations import CALIBRATIONS
 from support.mutants import MUTANTS, mutants
+from support.patience import soon, soon_and_small
 from support.places import ROOT
 from swarmtrack.config.camera_files import load_calibration
 from swarmtrack.config.camera_text import DEEPEST, MOST_ENTRIES
@@ -92,6 +94,14 @@ def test_the_line_of_an_error_is_not_looked_for_without_end():
     assert sum(len(statement) ** 2 / 8 for _ in found) < 4 * MAX_SEARCHED
 
 
+@pytest.mark.parametrize("entry", ["drone.id", "network.peers", "tracker.p_detection"])
+def test_a_number_that_python_does_not_show_is_refused(tmp_path, entry):
+    path = tmp_path / "drone.toml"
+    path.write_text(f"{entry} = [1, 0x{'f' * 8000}]\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"drone\.toml:1: a whole number of more than 10000 bits"):
+        load_config(path)
+
+
 @pytest.mark.parametrize("metres", ["1e308", "-1.1e7", "inf"])
 def test_a_place_that_no_message_can_hold_is_refused(tmp_path, metres):
     path = tmp_path / "drone.toml"
@@ -138,8 +148,11 @@ def test_a_page_of_aliases_to_aliases_is_not_followed(tmp_path, bomb, key):
         ("intrinsics: " + "{a: " * 100_000, f"nested more than {DEEPEST} deep"),
         ("intrinsics: &a [*a]\n", "more than"),
         ("intrinsics: [" + "1, " * 300_000 + "1]\n", "more than"),
+        ("image_width: 0x" + "f" * 8000, ":1: a number of 8002 characters"),
+        ("image_width: 1" + ":1" * 300_000, ":1: a number of 600001 characters"),
+        (f"? 0x{'f' * 8000}\n: 1\n", ":1: a number of 8002 characters"),
     ],
-    ids=["lists", "mappings", "itself", "long"],
+    ids=["lists", "mappings", "itself", "long", "large number", "sexagesimal", "large key"],
 )
 def test_what_is_too_deep_or_too_long_is_said(tmp_path, text, said):
     path = tmp_path / "camera.yaml"
@@ -173,6 +186,22 @@ def test_what_other_forms_may_hold_is_bounded_too(tmp_path, text, said):
     assert len(str(refused.value)) < 600
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\n" * 500_000 + CALIBRATION,
+        f'Intrinsic of "Color" / 640x480\nWidth: a{" " * 500_000}b\n',
+        "camera matrix" + " " * 500_000 + "b\n" + CALIBRATION,
+    ],
+    ids=["blank lines", "spaces in a report", "spaces in ost.txt"],
+)
+def test_a_megabyte_of_white_space_is_soon_read(tmp_path, text):
+    path = tmp_path / "camera.txt"
+    path.write_text(text, encoding="utf-8")
+    with soon(), contextlib.suppress(CalibrationError):
+        load_calibration(path)
+
+
 def test_honest_aliases_are_followed(tmp_path):
     path = tmp_path / "camera.yaml"
     path.write_text(
@@ -193,12 +222,13 @@ COUNTS = pytest.mark.parametrize(
 
 
 def survive(path: Path, good: str, count: int, read) -> None:
-    """Each mutant of a good text is read, or refused with a sentence that can be shown."""
+    """Each mutant of a good text is read, or refused with a sentence that can be shown, soon and in little memory."""
     refused = []
     for mutant in mutants(good.encode(), count, seed=9, text=True):
         path.write_bytes(mutant)
         try:
-            read(path)
+            with soon_and_small():
+                read(path)
         except SwarmtrackError as error:
             refused.append(str(error))
     assert 0 < len(refused) < count

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import logging
+import os
+import subprocess
 import sys
 from pathlib import Path
 
@@ -132,6 +134,22 @@ def test_no_encoding_of_stdout_ends_a_program_with_a_traceback(
         assert program(words) == 0
         stdout.flush()
         assert len(stdout.buffer.getvalue()) > 100
+
+
+@pytest.mark.parametrize("module", ["swarmtrack.agents.main", "swarmtrack.diagnosis.findings"])
+def test_a_module_prints_in_ascii(module: str) -> None:
+    words = [sys.executable, "-m", module, *(["config", "reference"] if module.endswith("main") else [])]
+    environment = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    assert b"|" in subprocess.run(words, env=environment, capture_output=True, check=True).stdout
+
+
+def test_a_full_disk_behind_stdout_ends_in_a_sentence() -> None:
+    with open("/dev/full", "wb") as full:
+        words = [sys.executable, "-m", "swarmtrack.agents.main", "config", "schema"]
+        ended = subprocess.run(words, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+    assert ended.returncode == 1
+    assert "No space left on device, expected" in ended.stderr
+    assert ended.stderr.count("\n") == 1
 
 
 def test_a_program_whose_stdout_is_closed_says_nothing_and_does_its_work(

@@ -17,7 +17,7 @@ def words(sight: Sight) -> str:
         name = "unknown" if target.identity is None else str(target.identity)
         if target.relative is not None:
             north, east, down = target.relative.position
-            name += f" at [{north:.1f} {east:.1f} {down:.1f}] m ± {target.relative.distance_sigma:.1f}"
+            name += f" at [{north:.1f} {east:.1f} {down:.1f}] m, sigma {target.relative.distance_sigma:.1f} m"
         elif target.direction_body is not None:
             forward, right, down = target.direction_body
             name += f" towards [{forward:.2f} {right:.2f} {down:.2f}] (body)"

@@ -41,6 +41,8 @@ LOG_READ_S, LOG_READ_S_PER_MB = 1.5, 2.0
 ULOG_MOST_FIELDS, ULOG_DEEPEST_FORMAT = 1024, 8
 # Of all its topics together, some 10 000.
 ULOG_MOST_SUBSCRIBED_FIELDS = 100_000
+# Bytes that may be the end of the last message, of a tail that was never written.
+ULOG_LONGEST_END = 10_000
 # Bytes, of one definition of an unknown type; and of what is no definition, over which it is looked for the next one.
 ULOG_LARGEST_DEFINITION, ULOG_MOST_DAMAGED_BYTES = 10_000, 10_000
 # The rest of a frame would have come, so its header was false. A slow radio sends a few times per second.

@@ -20,6 +20,7 @@ from swarmtrack.messages import Array
 
 NOT_TOLD = 65535  # of a velocity, a course, a heading
 MAX_ACCURACY_MM = 2**32 - 1
+ROWS_AT_ONCE = 1000
 
 Columns = Mapping[str, Array]
 Said = Iterable[tuple[float, Any]]
@@ -66,8 +67,11 @@ def rows(columns: Columns, *names: str) -> Iterator[list[Any]]:
     times = np.asarray(columns["timestamp"], dtype=float) * 1e-6
     middle = np.median(times) if len(times) else 0.0
     sound = np.flatnonzero(np.abs(times - middle) < LONGEST_RECORDING_S)
-    kept = [np.asarray(values)[sound].tolist() for values in (times, *(columns[name] for name in names))]
-    return map(list, zip(*kept, strict=True))
+    kept = [times, *(np.asarray(columns[name]) for name in names)]
+    # As Python's numbers, a whole log would take ten times its size.
+    for begin in range(0, len(sound), ROWS_AT_ONCE):
+        chunk = sound[begin : begin + ROWS_AT_ONCE]
+        yield from map(list, zip(*(values[chunk].tolist() for values in kept), strict=True))
 
 
 def thinned(samples: Iterable[list[Any]], begin: float = -math.inf) -> Iterator[list[Any]]:

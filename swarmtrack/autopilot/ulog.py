@@ -34,7 +34,7 @@ from swarmtrack.autopilot.logged_flight import (
     system_id,
     thinned,
 )
-from swarmtrack.autopilot.ulog_definitions import check_definitions
+from swarmtrack.autopilot.ulog_definitions import check_definitions, written_size
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.messages import Array
@@ -64,10 +64,12 @@ def read_ulog(path: Path) -> LoggedFlight:
     # What pyulog raises on bytes that are no log, its own error and whatever they mislead it to; and a topic that lacks
     # a column.
     try:
-        check_definitions(path)
         with time_limit(path):
-            with contextlib.redirect_stdout(io.StringIO()):
-                log = ULog(str(path), list(ULOG_TOPICS))
+            size = written_size(path)
+            check_definitions(path, size)
+            with path.open("rb") as file, contextlib.redirect_stdout(io.StringIO()):
+                whole = size == path.stat().st_size
+                log = ULog(file if whole else io.BytesIO(file.read(size)), list(ULOG_TOPICS))
             topics = {data.name: data.data for data in reversed(log.data_list) if len(data.data["timestamp"])}
             gps = next((topics[name] for name in GPS_TOPICS if name in topics), None)
             offset = _utc_offset(gps)

@@ -15,6 +15,7 @@ from pathlib import Path
 from swarmtrack.autopilot.limits import (
     ULOG_DEEPEST_FORMAT,
     ULOG_LARGEST_DEFINITION,
+    ULOG_LONGEST_END,
     ULOG_MOST_DAMAGED_BYTES,
     ULOG_MOST_FIELDS,
     ULOG_MOST_SUBSCRIBED_FIELDS,
@@ -22,6 +23,7 @@ from swarmtrack.autopilot.limits import (
 from swarmtrack.errors import SourceError
 
 ULOG_HEADER = 16
+UNWRITTEN = b"\0\xff"  # what blocks hold that a card has reserved, or erased
 # Types of messages: of the definitions; and of what ends them.
 DEFINITION_TYPES, DATA_TYPES = frozenset(b"BFIMPQ"), frozenset(b"ALC")
 SUBSCRIPTION = ord("A")
@@ -43,9 +45,18 @@ BASIC_TYPES = frozenset(
 Format = Sequence[tuple[str, int]]  # of each field: its type, and how many
 
 
-def check_definitions(path: Path) -> None:
-    """Raises SourceError where a log's definitions are damaged, or such as no PX4 has."""
+def written_size(path: Path) -> int:
+    """Bytes of a log, without most of a tail that was never written: the library goes through that byte by byte."""
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        end = len(data)
+        while end > 0 and not data[max(end - ULOG_LONGEST_END, 0) : end].strip(UNWRITTEN):
+            end -= ULOG_LONGEST_END
+        return min(max(end, 0) + ULOG_LONGEST_END, len(data))
+
+
+def check_definitions(path: Path, size: int) -> None:
+    """Raises SourceError where a log's definitions are damaged, or such as no PX4 has. size: how much of it to read."""
+    with path.open("rb") as file, mmap.mmap(file.fileno(), size, access=mmap.ACCESS_READ) as data:
         formats, position = _formats(path, data)
         fields: dict[str, int] = {}
         for name in formats:

@@ -5,7 +5,9 @@ Such a message is handed over with a mark: what to do with it is the planner's t
 
 A message's order is by what only grows in one run of its sender's process: a sequence, or the time since its start.
 Its time is compared with our wall clock. A drone whose clock is off by hours is known after `CLOCK_LEARNED_OF` messages
-in order whose times agree with each other: from then on its times are compared with that clock of its own.
+in order whose times agree with each other: from then on its times are compared with that clock of its own. A queue or
+a router makes messages later, never earlier. So a clock that is known is corrected by messages that come earlier than
+it allows; later ones are off time, until they are all that comes for `LEARNED_ANEW_AFTER_S`, or the sender restarts.
 
 Pure state; one `MessageOrder` per drone and kind of message.
 """
@@ -20,6 +22,8 @@ from typing import Final
 CLOCK_LEARNED_OF: Final = 16
 OFF_TIME_S: Final = 2.0
 """s: more than messages take on their way."""
+LEARNED_ANEW_AFTER_S: Final = 60.0
+"""s: longer than any queue. Whose clock was set back in flight is off time for so long."""
 ORDERS_KEPT: Final = 256
 """By which a late message is told from one that was delivered before: five seconds of tracks."""
 
@@ -43,15 +47,23 @@ class MessageOrder:
         self._orders: deque[float] = deque(maxlen=ORDERS_KEPT)
         self._clock_s = 0.0
         """Our UTC minus the sender's, as far as it is known."""
+        self._clock_known = False
+        self._no_news_since: float | None = None
+        """UTC of the first message after the newest that was news."""
         self._apart: deque[float] = deque(maxlen=CLOCK_LEARNED_OF)
 
     def restart(self) -> None:
         """The sender's process is another one now; its machine's clock is the same."""
         self._newest = None
         self._orders.clear()
+        self._apart.clear()
+        self._clock_known = False
+        self._no_news_since = None
 
     def marks(self, order: float, t_utc_s: float, utc: float) -> frozenset[Mark]:
         """order: sequence or time since the start; t_utc_s: of the message; utc: ours when it arrived, s."""
+        if self._no_news_since is not None and utc - self._no_news_since > LEARNED_ANEW_AFTER_S:
+            self.restart()
         marks = set()
         if order in self._orders:
             marks.add(Mark.REPEATED)
@@ -63,8 +75,10 @@ class MessageOrder:
         self._orders.append(order)
         if abs(apart - self._clock_s) > OFF_TIME_S:
             marks.add(Mark.OFF_TIME)
-        if not marks:
-            self._newest = order
+        if marks:
+            self._no_news_since = utc if self._no_news_since is None else self._no_news_since
+        else:
+            self._newest, self._no_news_since = order, None
         return frozenset(marks)
 
     def _learn(self, apart: float) -> None:
@@ -72,4 +86,6 @@ class MessageOrder:
         steady = max(self._apart) - min(self._apart) <= OFF_TIME_S
         if steady and len(self._apart) == CLOCK_LEARNED_OF:
             middle = statistics.median(self._apart)
-            self._clock_s = middle if abs(middle) > OFF_TIME_S else 0.0
+            found = middle if abs(middle) > OFF_TIME_S else 0.0
+            self._clock_s = min(found, self._clock_s) if self._clock_known else found
+            self._clock_known = True

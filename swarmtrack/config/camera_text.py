@@ -24,6 +24,7 @@ from swarmtrack.plain_text import plain
 MAX_CAMERA_FILE_BYTES = 1024 * 1024  # a calibration is a page
 MOST_ENTRIES = 200_000
 DEEPEST = 32  # levels
+LONGEST_WHOLE_NUMBER = 100  # characters: Python takes time by their square, and shows none of thousands
 
 Table = dict[str, Any]
 
@@ -75,7 +76,8 @@ def _reader(text: str) -> tuple[str, Any]:
         return "JSON", _json
     if re.search(r"^camera matrix\s*$", text, re.MULTILINE) and re.search(r"^\[image\]", text, re.MULTILINE):
         return "ost.txt", _ost
-    if re.search(r'^\s*Intrinsics? of "', text, re.MULTILINE):
+    # Not \s, which would try each of many blank lines as the beginning of all that follow.
+    if re.search(r'^[ \t]*Intrinsics? of "', text, re.MULTILINE):
         return "rs-enumerate-devices' report", _realsense
     return "YAML", _yaml
 
@@ -96,7 +98,14 @@ def _opencv_matrix(loader: _Loader, node: yaml.Node) -> OpencvMatrix:
     return OpencvMatrix((str(key), value) for key, value in loader.construct_mapping(node, deep=True).items())
 
 
+def _whole_number(loader: _Loader, node: yaml.ScalarNode) -> int:
+    if len(node.value) > LONGEST_WHOLE_NUMBER:
+        raise _refused(f"a number of {len(node.value)} characters", node.start_mark)
+    return int(loader.construct_yaml_int(node))
+
+
 _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _opencv_matrix)
+_Loader.add_constructor("tag:yaml.org,2002:int", _whole_number)
 
 
 def _yaml(text: str) -> Any:
@@ -249,23 +258,20 @@ def _ost(text: str) -> Table:
     return {"ost": table}
 
 
-_REALSENSE_LINE = re.compile(r"^\s*([A-Za-z()][\w ()]{0,40}?)\s*:\s*(.*?)\s*$")
-
-
 def _realsense(text: str) -> Table:
     """The report's intrinsics by stream and size: `Color 640x480`."""
     table: Table = {}
     section: Table | None = None
-    for line in text.splitlines():
-        if found := re.match(r'\s*Intrinsics? of "([^"]{1,64})" */ *(\d{1,6})x(\d{1,6})', line):
+    for line in map(str.strip, text.splitlines()):
+        key, colon, value = line.partition(":")
+        if found := re.match(r'Intrinsics? of "([^"]{1,64})" */ *(\d{1,6})x(\d{1,6})', line):
             section = {}
             table[f"{found[1]} {found[2]}x{found[3]}"] = section
-        elif not line.strip():
+        elif not line:
             section = None
-        elif section is not None and (pair := _REALSENSE_LINE.match(line)):
-            words = pair[2].split()
-            key = pair[1].strip().lower()
-            section[key] = words if key == "coeffs" else pair[2]
+        elif section is not None and colon:
+            key = key.strip().lower()
+            section[key] = value.split() if key == "coeffs" else value.strip()
     return {"realsense": table}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Callable, Mapping, Sequence
@@ -43,6 +44,8 @@ SIZE_ELEMENTS = {"tensor(int64)": np.int64, "tensor(int32)": np.int32}
 SMALLEST_NET_INPUT_PX = 16
 MOST_INPUT_PIXELS = 3840 * 2160
 """As floats, 100 MB."""
+MOST_OUTPUT_NUMBERS = 50_000_000
+"""200 MB as floats; a YOLO of 80 classes has 14 million for a 4K image."""
 TRIAL_S, COMPILING_S = 30.0, 1200.0  # s for the first answer; where an accelerator compiles the net before
 
 T = TypeVar("T")
@@ -104,11 +107,19 @@ def open_session(
     options.log_severity_level = 4  # the exception says it; the C++ log would only repeat it on stderr
     chosen = [(PROVIDERS[name], _options(name, cache or cache_folder(), threads)) for name in usable]
     try:
-        return ort.InferenceSession(str(path), options, providers=chosen)
+        session = ort.InferenceSession(str(path), options, providers=chosen)
     except Exception as error:  # ONNX Runtime's exceptions have no common base but this
         raise ModelError(
             f"{path}: not a model that ONNX Runtime {ort.__version__} can load: {error}"
         ) from error
+    for output in session.get_outputs():
+        # Sizes that depend on the input are words.
+        if math.prod(side for side in output.shape or () if isinstance(side, int)) > MOST_OUTPUT_NUMBERS:
+            raise ModelError(
+                f"{path}: its output {plain(output.name, 64)} has the shape {plain(str(output.shape), 200)}, expected "
+                f"{MOST_OUTPUT_NUMBERS} numbers at most"
+            )
+    return session
 
 
 def _options(provider: str, cache: Path, threads: int) -> Mapping[str, Any]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import enum
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
@@ -450,7 +451,8 @@ FAULTS: dict[str, Fault] = {
     "detector.fallback": Fault(
         W,
         "{wanted} was the first choice, but the network runs on {runs_on}",
-        "install the ONNX Runtime build with that provider, and its drivers; docs/detector.md",
+        "install the ONNX Runtime build with that provider, and its drivers (docs/detector.md), or write {runs_on} "
+        "first in detector.providers",
     ),
     "detector.slow": Fault(
         W,
@@ -518,7 +520,9 @@ FAULTS: dict[str, Fault] = {
         "network.multicast on {interface}: {reason}",
         "name an interface that is up in network.interface, or list network.peers instead",
     ),
-    "keys.expired": Fault(F, "{reason}", "check this machine's clock, then: swarmtrack keys issue --renew"),
+    "keys.expired": Fault(
+        F, "{reason}", "check this machine's clock, then: swarmtrack keys issue --renew, and copy it here"
+    ),
     "keys.early": Fault(
         F, "{reason}", "set this machine's clock (`timedatectl`); a Raspberry Pi loses the time without power"
     ),
@@ -585,4 +589,5 @@ def worst(findings: Iterable[Finding]) -> Level:
 
 
 if __name__ == "__main__":
-    print(markdown_table())
+    # A part of docs/troubleshooting.md, whatever the terminal's encoding.
+    sys.stdout.buffer.write(f"{markdown_table()}\n".encode())

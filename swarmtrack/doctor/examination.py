@@ -19,6 +19,7 @@ from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
 from swarmtrack.runtime.assembly import make_simulation, mount
+from swarmtrack.runtime.disk_facts import disk_facts
 from swarmtrack.runtime.perception import make_detector
 from swarmtrack.sources import SimulatedSources
 
@@ -62,7 +63,7 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
     heard = await network
     findings += surroundings.check_network(heard)
     findings += surroundings.check_tracks(heard)
-    findings += surroundings.check_disk(machine.disk(config))
+    findings += surroundings.check_disk(disk_facts(config))
     findings += surroundings.check_heat(await asyncio.to_thread(machine.heat))
     missing = [
         of_camera(number, skipped("camera", text)) if several else skipped("camera", text)

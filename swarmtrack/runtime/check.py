@@ -13,14 +13,15 @@ from swarmtrack.config.camera_files import load_calibration
 from swarmtrack.config.drone import CameraSection, DroneConfig, load_config, mount_camera
 from swarmtrack.config.formation import fields_of_view
 from swarmtrack.diagnosis.findings import Finding, Level, fault
-from swarmtrack.diagnosis.mounting import MountFacts, check_calibration
+from swarmtrack.diagnosis.mounting import MountFacts, check_calibration, check_mount
 from swarmtrack.diagnosis.sources import check_door
-from swarmtrack.diagnosis.surroundings import check_network
+from swarmtrack.diagnosis.surroundings import DetectorFacts, check_detector, check_disk, check_network
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan, HalfView
 from swarmtrack.outputs.destinations import check_outputs
 from swarmtrack.outputs.formation_drawing import as_svg, as_text
 from swarmtrack.runtime.assembly import Parts, assemble
+from swarmtrack.runtime.disk_facts import disk_facts
 from swarmtrack.runtime.network_facts import network_facts
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import topology
@@ -76,12 +77,19 @@ def check(path: Path) -> None:
             print(f"           {FLOWN if config.flies_in_formation else NOT_FLOWN}")
         print(textwrap.indent(as_text(plan, config.drone.id, _views(parts)), "           "))
     start = config.drone.start
-    findings = [finding for section in config.cameras for finding in _doubts(section)]
+    several = len(config.cameras) > 1
+    findings = [finding for section in config.cameras for finding in _doubts(section, several=several)]
     findings += check_door(link, signed=config.autopilot.signing_key is not None)
     if start.has_unknown_sigma:
         findings.append(fault("pose.unmeasured", sigma_m=start.position_sigma_m))
-    findings += [each for each in check_network(facts) if each.level is not Level.OK]
+    findings += check_network(facts) + check_disk(disk_facts(config))
+    if parts.detector is not None:
+        findings += check_detector(
+            DetectorFacts(providers=config.detector.providers, runs_on=parts.detector.providers)
+        )
     for finding in findings:
+        if finding.level in (Level.OK, Level.SKIPPED):
+            continue
         print(f"warning: {finding.found}: {finding.remedy}")
     for word in config.autopilot.tell:
         if word in DANGERS:
@@ -107,15 +115,13 @@ def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
         print(f"looks      {way}, known to {section.mounting_sigma_deg:g}°")
 
 
-def _doubts(section: CameraSection) -> list[Finding]:
-    """What is unlikely in the numbers of a lens."""
+def _doubts(section: CameraSection, *, several: bool) -> list[Finding]:
+    """What is unlikely in the numbers of a lens and of its mounting. several: it is one of many cameras."""
     if section.simulated:
         return []
-    return [
-        finding
-        for finding in check_calibration(MountFacts(mount_camera(section)))
-        if finding.level is not Level.OK
-    ]
+    sits = section.body_from_camera
+    facts = MountFacts(mount_camera(section), rpy_deg=None if sits is None else sits.rpy_deg)
+    return [*check_calibration(facts), *check_mount(facts, several=several)]
 
 
 def draw_formation(path: Path) -> str:

@@ -109,9 +109,13 @@ def create(args: argparse.Namespace) -> None:
     new_team = args.force or not team_file.exists()
     team = _new_team(args, questions) if new_team else _team_of(team_file, args)
     files, plan = _drone(args, questions, drone_id, team.name)
-    files[drone_file] = drone_text(plan).encode()
-    if new_team:
-        files[team_file] = team_text(team).encode()
+    try:
+        files[drone_file] = drone_text(plan).encode()
+        if new_team:
+            files[team_file] = team_text(team).encode()
+    except UnicodeEncodeError as error:  # a byte of an answer that is no character
+        answer = error.object[max(error.start - 20, 0) : error.end].splitlines()[-1]
+        raise ConfigError([f"found {answer!r}, expected text"]) from None
     before = {path: path.read_bytes() if path.exists() else None for path in files}
     try:
         args.out.mkdir(parents=True, exist_ok=True)
@@ -167,6 +171,9 @@ class Questions:
                 said = input(f"{question}{f' [{default}]' if default else ''}: ").strip() or default
             except EOFError:
                 raise ConfigError([f"--{flag}: no answer, expected one or the flag"]) from None
+            except UnicodeDecodeError:
+                print("  not in this terminal's encoding")
+                continue
             try:
                 if said is not None:
                     return read(said)

@@ -7,7 +7,7 @@ import pytest
 
 from support.seen_swarm import seen
 from swarmtrack.client.axes import Axes
-from swarmtrack.client.freshness import CLOCK_LEARNED_OF, Mark, MessageOrder
+from swarmtrack.client.freshness import CLOCK_LEARNED_OF, LEARNED_ANEW_AFTER_S, Mark, MessageOrder
 from swarmtrack.client.heard import HeardTeam
 from swarmtrack.clock import ManualClock
 from swarmtrack.transport import keys
@@ -64,6 +64,33 @@ def test_old_messages_that_are_played_again_beside_new_ones_never_become_news():
             Mark.OUT_OF_ORDER,
             Mark.OFF_TIME,
         }
+
+
+def test_messages_that_waited_in_a_queue_are_off_time_to_the_last_however_the_queue_grew():
+    freshness = MessageOrder()
+    flown(freshness, range(1, 100))
+    grown = [set(freshness.marks(k, NOW + k / 50, NOW + k / 50 + (k - 100) / 40)) for k in range(100, 300)]
+    assert grown[100:] == [OFF_TIME] * 100
+    assert not any(flown(freshness, range(300, 320)))
+
+
+def test_what_is_played_again_to_a_silence_is_no_news_and_the_drone_itself_is_when_it_comes_back():
+    freshness = MessageOrder()
+    flown(freshness, range(1, 100))
+    played = [set(freshness.marks(10_000 + k, NOW - DAY + k / 50, NOW + 2 + k / 50)) for k in range(200)]
+    assert played == [OFF_TIME] * 200
+    assert not any(flown(freshness, range(300, 400)))
+
+
+def test_a_clock_that_was_set_is_known_at_once_if_forward_and_after_a_minute_or_a_restart_if_back():
+    freshness = MessageOrder()
+    flown(freshness, range(1, 100), off=7200.0)
+    assert not any(flown(freshness, range(100, 200))[CLOCK_LEARNED_OF:])
+    back = flown(freshness, range(200, 3500), off=60.0)
+    late_s = next(k for k, marks in enumerate(back) if not marks) / 50
+    assert LEARNED_ANEW_AFTER_S < late_s < LEARNED_ANEW_AFTER_S + 1.0
+    freshness.restart()
+    assert not any(flown(freshness, range(3500, 3600), off=7200.0)[CLOCK_LEARNED_OF:])
 
 
 def test_the_client_hands_over_marked_sights_and_counts_them_and_a_restart_begins_again():

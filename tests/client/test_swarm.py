@@ -333,7 +333,7 @@ def test_the_page_shows_a_node_for_ros_that_compiles():
 async def test_the_subscriber_says_who_is_where(team):
     async with speaking(network(team)):
         _, said, _ = await ran(str(EXAMPLES / "subscriber.py"), "--team", team, until="towards")
-    assert "drone 1 sees: 2 at [8.0 6.0 -1.0] m ± 0.5, unknown towards [1.00 0.00 0.00] (body)" in said
+    assert "drone 1 sees: 2 at [8.0 6.0 -1.0] m, sigma 0.5 m, unknown towards [1.00 0.00 0.00] (body)" in said
 
 
 async def test_the_follower_prints_set_points(team):

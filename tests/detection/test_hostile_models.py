@@ -15,6 +15,7 @@ from swarmtrack.detection.detector import Detector
 from swarmtrack.detection.metadata import LONGEST_ENTRY
 from swarmtrack.detection.model import metadata_of, model_path
 from swarmtrack.detection.readings import Trial
+from swarmtrack.detection.second_stage import SecondStage
 from swarmtrack.errors import ModelError
 
 TRIAL = Trial((96, 64), ((1, 1, 16, 24), (1, 2, 16, 24), (1, 2, 16, 24)))
@@ -107,6 +108,29 @@ def test_any_mutation_of_good_metadata_is_read_or_refused(count, good, trial):
         assert np.isfinite([*found.scale, *found.mean, *found.calibration, found.score_threshold]).all()
     assert refused
     assert all(said.isprintable() for said in refused)
+
+
+def test_a_net_of_a_huge_answer_is_not_run(tmp_path):
+    onnx = pytest.importorskip("onnx", reason="makes nets: needs onnx, of the extra dev")
+    helper, shape = onnx.helper, [1, 6, 10**10]
+    graph = helper.make_graph(
+        [
+            helper.make_node("ReduceMax", ["images"], ["most"], keepdims=0),
+            helper.make_node("Expand", ["most", "shape"], ["out"]),
+        ],
+        "net",
+        [helper.make_tensor_value_info("images", onnx.TensorProto.FLOAT, (1, 3, 64, 96))],
+        [helper.make_tensor_value_info("out", onnx.TensorProto.FLOAT, shape)],
+        [helper.make_tensor("shape", onnx.TensorProto.INT64, [3], shape)],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=9)
+    path = tmp_path / "huge.onnx"
+    onnx.save(model, str(path))
+    for load in (Detector, SecondStage):
+        with pytest.raises(
+            ModelError, match=r"its output out has the shape \[1, 6, 10000000000\], expected 50000000"
+        ):
+            load(path)
 
 
 def test_a_net_that_never_answers_is_given_up(tmp_path, monkeypatch):

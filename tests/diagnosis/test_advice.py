@@ -11,16 +11,20 @@ import json
 import re
 import shutil
 import socket
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
-from support.drone_on_the_bench import NUMBERS, camera_at, written
+from support.drone_on_the_bench import NUMBERS, Server, camera_at, written
+from support.fake_autopilot import FakeAutopilot, serve_udp
+from support.network_of_keys import announcement, free_addresses
 from support.patience import PATIENCE
 from support.streams import first, jpeg, part, repeating, stream_server
 from swarmtrack.agents import main as swarmtrack
@@ -33,11 +37,13 @@ from swarmtrack.diagnosis.findings import FAULTS, Finding
 from swarmtrack.diagnosis.mounting import MountFacts, check_calibration, check_mount
 from swarmtrack.diagnosis.sources import AutopilotFacts, CameraFacts
 from swarmtrack.diagnosis.surroundings import NetworkFacts, check_detector, check_disk, check_network
-from swarmtrack.doctor import machine, team
+from swarmtrack.doctor import team
 from swarmtrack.doctor.examination import detector_facts, mount_facts
+from swarmtrack.doctor.watching import SensorWatch
 from swarmtrack.errors import TransportError
 from swarmtrack.formation.parameters import FlightLimits
-from swarmtrack.messages import LinkStatus, StampKind
+from swarmtrack.messages import Array, LinkStatus, StampKind
+from swarmtrack.runtime.disk_facts import disk_facts
 from swarmtrack.runtime.network_facts import network_facts
 from swarmtrack.security import names
 from swarmtrack.security.authority import Authority, create_authority, open_authority
@@ -46,6 +52,7 @@ from swarmtrack.security.loading import load_credentials
 from swarmtrack.transport import zenoh_config
 from swarmtrack.transport.settings import Mode, NetworkSettings, check
 from swarmtrack.transport.zenoh_session import close_session, open_session
+from swarmtrack.transport.zenoh_transport import ZenohTransport
 
 CLOCK = SystemClock()
 HANDS = "takes hands: a plug, a cable, a tool or the weather"
@@ -55,14 +62,11 @@ TUNING = "depends on the scene; docs/tracking.md has measurements"
 BEYOND = {
     **dict.fromkeys(
         (
-            "camera.missing", "camera.forbidden", "camera.busy", "camera.unreachable", "camera.silent", "camera.broken",
-            "camera.late", "camera.slow", "camera.damaged", "camera.blank", "autopilot.missing",
-            "autopilot.forbidden",
-            "autopilot.busy", "autopilot.unreachable", "autopilot.lost", "autopilot.foreign", "autopilot.strangers",
-            "autopilot.losing", "autopilot.clock", "autopilot.drift", "autopilot.unsteady", "autopilot.broken",
-            "autopilot.no_position", "autopilot.thrown_away", "limits.silent", "network.clock", "disk.full", "disk.low",
-            "heat.hot",
-            "heat.throttled", "detector.fallback",
+            "camera.missing", "camera.forbidden", "camera.busy", "camera.broken", "camera.late", "camera.slow",
+            "camera.damaged", "autopilot.missing", "autopilot.forbidden", "autopilot.lost",
+            "autopilot.strangers", "autopilot.losing", "autopilot.clock", "autopilot.drift", "autopilot.unsteady",
+            "autopilot.broken", "autopilot.no_position", "autopilot.thrown_away", "limits.silent", "disk.full",
+            "disk.low", "heat.hot", "heat.throttled",
         ),
         HANDS,
     ),
@@ -76,7 +80,7 @@ BEYOND = {
     ),
     **dict.fromkeys(
         (
-            "camera.size", "camera.stamps", "calibration.aspect", "calibration.centre", "calibration.field",
+            "calibration.aspect", "calibration.centre", "calibration.field",
             "calibration.distortion", "mount.backwards", "motion.sign", "motion.rotation", "motion.offset",
         ),
         CALIBRATION,
@@ -249,6 +253,93 @@ def mount(entry: str, wrong: str, right: str) -> Callable[[Path], tuple[Before, 
     return follow
 
 
+# --- cameras and autopilots of real sockets: one as it was, one as it is then -----------------------
+
+
+def lively(t: float, width: int = 160, height: int = 120) -> Array:
+    return np.random.default_rng(int(10 * t)).integers(0, 255, (height, width, 3), dtype=np.uint8)
+
+
+def camera(wrong: Server, wrong_path: str = "") -> Callable[[Path], tuple[Before, After]]:
+    """A camera over HTTP, and one that is set right."""
+
+    def follow(folder: Path) -> tuple[Before, After]:
+        async def look(server: Server, path: str = "") -> list[Finding]:
+            async with server:
+                config = load_config(
+                    written(folder / path / str(id(server)), camera=camera_at(server.url + path))
+                )
+                watch = SensorWatch(config, [mount_facts(config.camera, None).mounted], CLOCK)
+                return sources.check_camera((await watch.run(2.0)).cameras[0].facts)
+
+        async def both() -> tuple[Before, After]:
+            return await asyncio.gather(look(wrong, wrong_path), look(Server(lively)))
+
+        return asyncio.run(both())
+
+    return follow
+
+
+def autopilot(wrong: Callable[[int], str], more: str = "") -> Callable[[Path], tuple[Before, After]]:
+    """A link that is wrong for the autopilot at a port, and the one that is right."""
+
+    def follow(folder: Path) -> tuple[Before, After]:
+        async def look(here: Path, link: Callable[[int], str], more: str = "") -> list[Finding]:
+            port = free_port(socket.SOCK_DGRAM)
+            async with serve_udp(FakeAutopilot(boot_at=time.monotonic() - 40.0), "127.0.0.1", port):
+                config = load_config(written(here, autopilot=f'link = "{link(port)}"\n{more}'))
+                watched = await SensorWatch(config, [None], CLOCK).run(4.0)
+            return sources.check_autopilot(watched.autopilot)
+
+        async def both() -> tuple[Before, After]:
+            return await asyncio.gather(
+                look(folder / "wrong", wrong, more), look(folder / "right", "udpin:127.0.0.1:{}".format)
+            )
+
+        return asyncio.run(both())
+
+    return follow
+
+
+def autopilot_busy(folder: Path) -> tuple[Before, After]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        taken = other.getsockname()[1]
+        return autopilot(lambda _: f"udpin:127.0.0.1:{taken}")(folder)
+
+
+def network_clock(folder: Path) -> tuple[Before, After]:
+    async def look(ahead_s: float) -> list[Finding]:
+        ours, theirs = free_addresses(2)
+        path = written(
+            folder / str(ahead_s), network=f'team = "red"\npeers = {{ 1 = "{ours}", 2 = "{theirs}" }}'
+        )
+        # The other dials us, as the higher one.
+        settings = NetworkSettings(team="red", listen=(f"tcp/{theirs}",), connect=(f"tcp/{ours}",))
+        other = ZenohTransport(settings, 2, "aaaaaaaa", ClockAhead(ahead_s))
+        await other.open()
+        try:
+            await other.announce(announcement(2, "aaaaaaaa", 1))
+            return check_network(await team.ask(load_config(path), CLOCK, 4.0))
+        finally:
+            await other.close()
+
+    async def both() -> tuple[Before, After]:
+        return await asyncio.gather(look(7200.0), look(0.0))
+
+    return asyncio.run(both())
+
+
+class ClockAhead(SystemClock):
+    """Of a machine whose time is ahead."""
+
+    def __init__(self, ahead_s: float) -> None:
+        self._ahead_s = ahead_s
+
+    def utc(self) -> float:
+        return super().utc() + self._ahead_s
+
+
 # --- detector and disk --------------------------------------------------------------------------
 
 
@@ -269,7 +360,7 @@ def detector(name: str, wrong: str, right: str) -> Callable[[Path], tuple[Before
 def disk_unwritable(folder: Path) -> tuple[Before, After]:
     def look(path: Path) -> list[Finding]:
         config = load_config(written(folder, output=f"jsonl = {json.dumps(str(path))}"))
-        return [each for each in check_disk(machine.disk(config)) if each.fault == "disk.unwritable"]
+        return [each for each in check_disk(disk_facts(config)) if each.fault == "disk.unwritable"]
 
     (folder / "a-file").write_text("")
     return look(folder / "a-file" / "t.jsonl"), look(folder / "t.jsonl")
@@ -416,7 +507,15 @@ FOLLOWED: dict[str, Callable[[Path], tuple[Before, After]]] = {
     "camera.address": camera_address,
     "camera.stale": camera_stale,
     "camera.garbled": camera_garbled,
+    "camera.unreachable": camera(Server(lively), "s"),
+    "camera.silent": camera(Server(lambda t: None)),
+    "camera.size": camera(Server(lambda t: lively(t, 64, 48))),
+    "camera.stamps": camera(Server(lively, late=None)),
+    "camera.blank": camera(Server(lambda t: np.full((120, 160, 3), 4, np.uint8))),
     "autopilot.address": autopilot_address,
+    "autopilot.busy": autopilot_busy,
+    "autopilot.unreachable": autopilot("tcp:127.0.0.1:{}".format),
+    "autopilot.foreign": autopilot("udpin:127.0.0.1:{}".format, "system_id = 3"),
     "autopilot.none": autopilot_none,
     "autopilot.open": autopilot_open,
     "autopilot.slow": autopilot_slow,
@@ -427,7 +526,9 @@ FOLLOWED: dict[str, Callable[[Path], tuple[Before, After]]] = {
     "mount.position": mount("position_m", "[10.0, 0.0, 0.0]", "[0.1, 0.0, 0.0]"),
     "detector.model": detector("detector.model", 'model = "cut.onnx"', ""),
     "detector.provider": detector("detector.provider", 'providers = ["cuda"]', 'providers = ["cuda", "cpu"]'),
+    "detector.fallback": detector("detector.fallback", 'providers = ["qnn", "cpu"]', 'providers = ["cpu"]'),
     "disk.unwritable": disk_unwritable,
+    "network.clock": network_clock,
     "network.closed": network_closed,
     "network.router": network_router,
     "network.address": network_address,

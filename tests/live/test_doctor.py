@@ -386,15 +386,15 @@ def test_a_reflection_in_a_calibration_file_is_called_one(tmp_path):
 def test_outputs_that_cannot_be_written_and_a_disk_that_is_full(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     config = load_config(written(tmp_path, output=f'jsonl = "{tmp_path}/file/tracks.jsonl"'))
-    assert faults(check_disk(examination.machine.disk(config))) == {"disk.unwritable"}
+    assert faults(check_disk(examination.disk_facts(config))) == {"disk.unwritable"}
     config = load_config(written(tmp_path, recording=f'dir = "{tmp_path}/file/flights"'))
-    assert faults(check_disk(examination.machine.disk(config))) == {"disk.unwritable"}
+    assert faults(check_disk(examination.disk_facts(config))) == {"disk.unwritable"}
     config = load_config(written(tmp_path, recording=f'dir = "{tmp_path}/flights"'))
-    assert faults(check_disk(examination.machine.disk(config))) <= {"disk.low", "disk.full"}
+    assert faults(check_disk(examination.disk_facts(config))) <= {"disk.low", "disk.full"}
     config = load_config(written(tmp_path, output=f'jsonl = "{tmp_path}/tracks.jsonl"'))
     full = os.statvfs_result((4096, 4096, 10**6, 10, 10, 10**6, 10**6, 10**6, 0, 255))
     monkeypatch.setattr(os, "statvfs", lambda path: full)
-    assert faults(check_disk(examination.machine.disk(config))) == {"disk.full"}
+    assert faults(check_disk(examination.disk_facts(config))) == {"disk.full"}
 
 
 def test_the_command_says_lines_or_json_and_its_code_tells(tmp_path, capsys):

@@ -135,6 +135,30 @@ def test_a_door_that_is_open_to_others_than_the_autopilot_is_warned_of(config, t
     assert (f"warning: {link} accepts MAVLink from any host that reaches it" in out) == warned
 
 
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        ("[camera.body_from_camera]\nrpy_deg = [0, 1.5708, 0]\n", "looks like radians: write degrees"),
+        (
+            "[camera.body_from_camera]\nposition_m = [10, 0, 0]\n",
+            "the camera is 10.0 m from the drone's centre",
+        ),
+        ('[detector]\nproviders = ["qnn", "cpu"]\n', "qnn was the first choice, but the network runs on cpu"),
+        (
+            '[recording]\ndir = "/dev/null/flights"\n',
+            "recording.dir cannot be written: /dev/null: is not a folder",
+        ),
+    ],
+    ids=["radians", "centimetres", "provider", "no folder"],
+)
+def test_what_doctor_would_say_of_a_config_alone_is_warned_of(config, tmp_path, extra, said):
+    written = drone(tmp_path, 1, 1, extra)
+    code, out, _ = config("check", written)
+    assert code == 0
+    assert re.search(f"^warning: .*{re.escape(said)}", out, re.MULTILINE)
+    assert said not in config("check", drone(tmp_path, 2, 2))[1]
+
+
 def test_a_guessed_lens_has_the_angle_that_was_told_and_says_that_it_is_a_guess(config, tmp_path):
     code, out, _ = config("new", "--id", 1, "--size", "800x600", "--fov", "90")
     lens = load_config(tmp_path / "drone-1.toml").camera
@@ -254,6 +278,14 @@ def test_whatever_the_camera_is_called_it_stays_one_string(config, tmp_path):
     assert load_config(tmp_path / "drone-1.toml").camera.source == source
 
 
+def test_half_a_character_in_an_answer_is_said(config, tmp_path):
+    words = ("--id", 1, "--camera", "sim://hover-triangle", "--autopilot", "sim")
+    code, _, err = config("new", *words, "--team", "r\udce9d")
+    assert code == 2
+    assert r"team r\udce9', expected text" in err
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_simulated_camera_needs_no_lens(config, tmp_path):
     code, _, err = config("new", "--id", 1, "--camera", "sim://hover-triangle", "--autopilot", "sim")
     assert code == 0, err
@@ -268,7 +300,8 @@ class Terminal:
         self.said = ""
         self.process = subprocess.Popen(
             [sys.executable, "-m", "swarmtrack.agents.main", "config", "new", *words],
-            stdin=theirs, stdout=theirs, stderr=theirs, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
+            stdin=theirs, stdout=theirs, stderr=theirs, cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8:strict"},
         )  # fmt: skip
         os.close(theirs)
 
@@ -278,7 +311,7 @@ class Terminal:
             assert time.monotonic() < deadline, self.said
             if select.select([self._ours], [], [], 0.1)[0]:
                 try:
-                    self.said += os.read(self._ours, 4096).decode()
+                    self.said += os.read(self._ours, 4096).decode(errors="replace")
                 except OSError:  # the other end has gone
                     break
         assert words in self.said, self.said
@@ -286,7 +319,7 @@ class Terminal:
 
     def answer(self, question, text):
         self.until(question)
-        os.write(self._ours, text.encode() + b"\n")
+        os.write(self._ours, text.encode(errors="surrogateescape") + b"\n")
 
 
 def test_on_a_terminal_it_asks_and_asks_again(tmp_path):
@@ -294,6 +327,8 @@ def test_on_a_terminal_it_asks_and_asks_again(tmp_path):
     person.answer("ID of the drone", "seven")
     person.until("found seven, expected a whole number")
     person.answer("ID of the drone", "7")
+    person.answer("name of the team [swarm]", "r\udce9d")
+    person.until("not in this terminal's encoding")
     person.answer("name of the team [swarm]", "red")
     person.answer("camera", "")
     person.answer("calibration file", "nothing.yaml")

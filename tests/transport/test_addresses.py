@@ -23,6 +23,8 @@ HOSTS = {
     "bravo": ("10.77.0.2",),
     "charlie": ("::1", "127.0.0.1"),
     "delta": ("127.0.1.1", "10.77.0.4"),  # both lines are there: the second is dialled
+    "bravo.local": ("fd00::2", "10.77.0.2"),
+    "echo": ("::ffff:127.0.1.1",),
 }
 
 
@@ -68,11 +70,63 @@ def refusal(section: NetworkSection, drone_id: int | None = 1, *, secured: bool 
         ({"1": "delta", "2": "bravo"}, ""),
         ({"1": "nobody-knows", "2": "bravo"}, ""),  # at a desk, where the field's names mean nothing
         ({"1": "10.77.0.1", "2": "[fe80::1%3]"}, ""),
+        ({"1": "echo", "2": "bravo"}, "network.peers: 1: found echo, which means 127.0.1.1 on this machine"),
+        (
+            {"1": "[::ffff:127.0.0.1]", "2": "bravo"},
+            "network.peers: 1: found [::ffff:127.0.0.1], where no other",
+        ),
+        (
+            {"1": "10.77.0.1", "2": "bravo", "3": "bravo.local"},
+            "drones 2 and 3 both have the address 10.77.0.2",
+        ),
+        (
+            {"1": "10.77.0.1", "2": "bravo", "3": "10.77.0.2"},
+            "drones 2 and 3 both have the address 10.77.0.2",
+        ),
+        ({"1": "10.77.0.1", "2": "bravo", "3": "10.77.0.2:7500"}, ""),
     ],
 )
 def test_whoever_is_on_loopback_while_others_are_elsewhere_is_named(peers: dict[str, str], says: str) -> None:
     found = refusal(NetworkSection(peers=peers, insecure=True))
     assert (says in found) if says else found == ""
+
+
+@pytest.mark.parametrize(
+    "address", ["0.0.0.0", "[::]:7500", "255.255.255.255", "224.0.0.224", "tcp/[ff02::1]:7447"]
+)
+@pytest.mark.parametrize("network", ["mesh", "routers"])
+def test_what_is_no_machines_address_is_refused_wherever_it_is_dialled(network: str, address: str) -> None:
+    if network == "mesh":
+        peers = {"1": "10.77.0.1", "2": "10.77.0.2"}
+        for i in peers:
+            section = NetworkSection(peers=peers | {i: address}, insecure=True)
+            assert refusal(section).startswith(f"network.peers: {i}: found {address}, which is no machine's")
+            assert 'listen = ["0.0.0.0"]' in refusal(section)
+        section = NetworkSection(peers=peers, connect=(address,), insecure=True)
+        assert refusal(section).startswith(f"network.connect: 1: found {address}, which is no machine's")
+    else:
+        section = NetworkSection(topology="routers", routers=("10.77.0.9", address), insecure=True)
+        for drone_id in (1, None):
+            assert refusal(section, drone_id).startswith(f"network.routers: 2: found {address}")
+        assert "listen" not in refusal(section)
+        check_addresses(section, secured=False, router=address, look_up=in_these_hosts)
+
+
+def test_a_router_by_a_name_that_is_its_machines_own_is_refused_and_one_on_loopback_for_all_is_not() -> None:
+    named = NetworkSection(topology="routers", routers=("10.77.0.9", "alpha:17447"))
+    for drone_id in (1, None):
+        found = refusal(named, drone_id)
+        assert found.startswith(
+            "network.routers: 2: found alpha:17447, which means 127.0.1.1 on this machine"
+        )
+    here = NetworkSection(topology="routers", routers=("127.0.0.1:17447", "localhost:17448"))
+    assert refusal(here) == refusal(here, None) == ""
+
+
+def test_a_drone_that_dials_its_own_name_is_refused_and_a_monitor_beside_an_agent_is_not() -> None:
+    section = NetworkSection(connect=("tcp/alpha:7447",))
+    assert refusal(section).startswith("network.connect: 1: found tcp/alpha:7447, which means 127.0.1.1")
+    assert refusal(section, None) == ""
 
 
 def test_an_own_name_on_loopback_does_no_harm_where_the_drone_listens_elsewhere() -> None:
@@ -108,6 +162,18 @@ def test_the_system_is_asked_and_a_name_that_nobody_knows_is_left_out() -> None:
     found = look_up(["localhost", "no-such-host.invalid", "\udcff", ""])
     assert found["localhost"] <= ("127.0.0.1", "::1")
     assert found.keys() <= {"localhost", ""}
+
+
+def test_a_router_with_its_own_name_says_so_instead_of_relaying_for_nobody(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(
+        socket, "getaddrinfo", lambda *_, **__: [(socket.AF_INET, 1, 6, "", ("127.0.1.1", 0))]
+    )
+    path = tmp_path / "team.toml"
+    path.write_text('[network]\ntopology = "routers"\nrouters = ["vm:17447"]\ninsecure = true\n')
+    assert swarmtrack.main(["router", "--config", str(path), "--listen", "vm:17447", "--seconds", "0.1"]) == 2
+    assert "network.routers: 1: found vm:17447, which means 127.0.1.1 on this" in capsys.readouterr().err
 
 
 # --- the advice, followed ------------------------------------------------------------------------

@@ -27,6 +27,7 @@ MAX_CONFIG_BYTES = (
 )  # a config is a page; a recording given by mistake is refused before it is parsed
 MOST_FILES = 32  # that one config extends, one that is reached by several ways counted each time
 MOST_PARTS = 64  # of a dotted key: a parser takes time by their square
+MOST_BITS = 10_000  # of a whole number: Python shows none of 4300 digits
 # Beyond these a value's end is not looked for: only the line in an error message is lost.
 MAX_STATEMENT_LINES = 200
 MAX_SEARCHED = 1 << 20  # characters parsed, some of them again and again
@@ -118,6 +119,7 @@ def _read(
             line = text[: long.start()].count("\n") + 1
             return wrong(line, f"a key of more than {MOST_PARTS} parts, expected a config in TOML")
         layer = Layer(path, text, tomllib.loads(text))
+        _check_numbers(layer.table)
     except OSError as error:
         return wrong(1, f"cannot be read ({error.strerror}), expected a config file")
     except UnicodeDecodeError as error:
@@ -125,7 +127,7 @@ def _read(
         return wrong(line, f"byte 0x{raw[error.start]:02x} is not UTF-8, expected a config in TOML")
     except tomllib.TOMLDecodeError as error:
         return wrong(*_syntax_error(text, str(error)))
-    except ValueError as error:  # a number of thousands of digits
+    except ValueError as error:  # a number too large
         return wrong(1, f"{error}, expected valid TOML")
     except RecursionError:
         return wrong(1, "nested too deeply, expected a config in TOML")
@@ -149,6 +151,14 @@ def _read(
             yield from _read(base, chain, problems, prepare, files)
     prepare(layer.table, path.parent.absolute())
     yield layer
+
+
+def _check_numbers(value: Any) -> None:
+    """Raise ValueError for a whole number that is too large."""
+    if isinstance(value, int) and value.bit_length() > MOST_BITS:
+        raise ValueError(f"a whole number of more than {MOST_BITS} bits")
+    for each in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_numbers(each)
 
 
 def _syntax_error(text: str, message: str) -> tuple[int, str]:

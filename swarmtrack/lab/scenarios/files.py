@@ -90,6 +90,7 @@ from swarmtrack.lab.world.world import World
 FOLDER = Path(str(resources.files("swarmtrack") / "configs" / "scenarios"))
 # Each is a process with a camera of its own, and to find the places of more takes longer than anybody waits.
 MAX_SCENARIO_DRONES = 100
+MOST_ON_ERRANDS = 20  # each takes 0.2 s to prepare, in every process of the simulation
 MAX_CAMERAS = 8  # of a drone
 CLIMBS_S = 8.0  # s from a take-off to the height of a slot
 FASTEST_LEADER_M_S = 5.0
@@ -495,6 +496,11 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
         )
     by_others = [drone.id for drone in file.drone if drone.guided]
     shape = file.formation
+    if shape is not None and shape.errand is not None and wanted > MOST_ON_ERRANDS:
+        wrong(
+            ("formation", "drones"),
+            f"{wanted} drones wanted, expected {MOST_ON_ERRANDS} at most: each errand is flown before the scenario",
+        )
     if file.codes_s and (by_others or (shape is not None and (shape.errand or shape.star) is not None)):
         wrong(
             ("codes_s",), "with guided drones, errands or a star, expected drones that hover or fly by plan"

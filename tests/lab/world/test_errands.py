@@ -7,6 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from support.patience import soon
+from swarmtrack.errors import ConfigError
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.oracle import OracleDetector
 from swarmtrack.lab.scenarios.scenario import Scenario
@@ -73,6 +75,14 @@ def test_teammates_leave_the_view_and_come_back(seed, drones):
         assert len(changes) >= 2
         assert seen[-1] or seen[changes[-1]]
         assert 0.4 < seen.mean() < 0.95
+
+
+def test_more_drones_than_can_be_prepared_soon_are_refused():
+    with (
+        soon(),
+        pytest.raises(ConfigError, match=r"errand\.toml:\d+: formation\.drones: 21 drones .* 20 at most"),
+    ):
+        errand(drones=21)
 
 
 def test_the_nose_turns_to_the_way_point():
