@@ -18,14 +18,15 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array, OwnFault
 from swarmtrack.team.evidence import Marginal, TeammatePrior
+from swarmtrack.team.matchings import match_all, worth_matching
 from swarmtrack.team.own_errors import ConfigFault, OwnErrors
+from swarmtrack.team.pasts import each_past_once, log_ratios, pasts_from_now
 from swarmtrack.team.priors import (
     DOUBTING_PADS_RATIO,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
     LOG_NONSENSE,
     LOG_RATIO_LEAST,
-    LOG_RATIO_MOST,
     LOG_SEEN,
     LOG_SLEEPS,
     OWN_ERRORS_LAST_S,
@@ -43,7 +44,6 @@ from swarmtrack.team.priors import (
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
 from swarmtrack.team.unheard import UnheardTrack
-from swarmtrack.tracking.marginals_of_each import MatchedOfEach, matched_of_each
 
 
 class OwnKnowledge(NamedTuple):
@@ -120,30 +120,27 @@ class JointMixture:
     ) -> Array:
         """(n, m): the probability that each track is each teammate. Each track remembers what it says of the
         components, and the weights of its segments."""
-        used = self._awake()
+        # What a segment begins with is kept, so it is worked out for all components.
+        waiting = [i for i, track in enumerate(tracks) if track.waits]
+        awake = self._awake()
+        used = np.arange(len(self.errors)) if waiting else awake
         log_prior, off = self.errors.log_prior(known.heading_sigma)
         log_w = log_prior[used] + self._told_at(t)[used]
-        base = [track.bases(len(self.errors))[:, used] for track in tracks]
+        pasts = [track.pasts(len(self.errors)).of((slice(None), used)) for track in tracks]
+        base = [past.log for past in pasts]
         each = [np.full((*b.shape, len(mates)), -np.inf) for b in base]
         told = [track.told() for track in tracks]
         for c, mate in enumerate(mates):
             log_w = log_w + self._of_teammate(c, mate, tracks, told, each, used=used, t=t, known=known)
+        for i, past in pasts_from_now(waiting, pasts, each).items():
+            for rows, last in zip(pasts[i], tracks[i].begin_waiting_on(past), strict=True):
+                rows[-1] = last
         for track, b, e in zip(tracks, base, each, strict=True):
-            if track.waits:
-                # Bearings of before it that came since are of what it was before.
-                before = np.logaddexp.reduce(_with_anybody(b, e)[:-1], axis=0)
-                b[-1] = track.begin_waiting_on(before, used)
-        for track, b, e in zip(tracks, base, each, strict=True):
-            self._hold_back(track, b, e, mates, used=used, t=t)
-        nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
+            self._hold_back(track, b, e, mates, used=used, awake=awake, t=t)
+        nobody, ratio = log_ratios(base, each)
+        ratio = ratio.reshape(len(tracks), len(used), len(mates))
         log_w = log_w + sum(nobody, np.zeros(len(used)))
-        ratio = np.array(
-            [
-                np.logaddexp.reduce(b[:, :, None] + e, axis=0) - none[:, None]
-                for b, e, none in zip(base, each, nobody, strict=True)
-            ]
-        ).reshape(len(tracks), len(used), len(mates))
-        once = _each_past_once(ratio, base, each, tracks, mates)
+        once = each_past_once(ratio, nobody, pasts, each)
         kept, P = self._match(once.swapaxes(0, 1), log_w, used)
         for track, p in zip(tracks, P, strict=True):
             if p.max(initial=0.0) > P_HELD:
@@ -239,10 +236,11 @@ class JointMixture:
         mates: Sequence[Teammate],
         *,
         used: NDArray[np.intp],
+        awake: NDArray[np.intp],
         t: float,
     ) -> None:
         """While the teammate that a track was says nothing, others explain it no better than chance would: in the log
-        ratios `each` (s, k, m), and in what the track remembers."""
+        ratios `each` (s, k, m), and in what the track remembers. What sleeping components fit is no measure of that."""
         silent = next((mate for mate in mates if mate.drone_id == track.held and not mate.knows(t)), None)
         if silent is None:
             track.unheard = None
@@ -253,7 +251,8 @@ class JointMixture:
             return  # It was compared with nobody since.
         since = [segment.since for segment in track.segments]
         speak = np.array([mate.knows(t) for mate in mates])
-        more = track.unheard.held_back(t, since, base, each, used=used, speak=speak)
+        at = np.searchsorted(used, awake)
+        more = track.unheard.held_back(t, since, base[:, at], each[:, at], used=awake, speak=speak)
         track.hold_back([mate.column for mate in mates], more)
         each -= more
 
@@ -284,8 +283,8 @@ class JointMixture:
         """Match tracks and teammates by each component that may have weight, and weigh these. log_ratio (k, n, m);
         log_w (k,) without matchings. Returns which of `used` were matched, and the probability (n, m) of each pair."""
         R = np.where(log_ratio <= LOG_RATIO_LEAST, -np.inf, log_ratio)
-        kept = _worth_matching(R, log_w)
-        found = _matched(R[kept])
+        kept = worth_matching(R, log_w)
+        found = match_all(R[kept])
         log_w = log_w[kept] + found.log_total
         log_w = log_w - log_w.max()
         weight = np.exp(log_w)
@@ -317,7 +316,7 @@ class JointMixture:
                     R[:, i, c] = np.logaddexp.reduce(E[at:end] - E[0] + weight[:, None], axis=0)
                 at = end
         w = self.weight[used] / float(self.weight[used].sum())
-        return np.asarray(np.tensordot(w, _matched(R + self.log_seen + LOG_ANYWHERE).probability, axes=1))
+        return np.asarray(np.tensordot(w, match_all(R + self.log_seen + LOG_ANYWHERE).probability, axes=1))
 
     # --- where they are ---
 
@@ -363,59 +362,3 @@ class JointMixture:
 def _with_anybody(base: Array, each: Array) -> Array:
     """Log evidence (s, k) of each segment with all before it, whoever it is: base (s, k), and each (s, k, m)."""
     return np.asarray(base + np.logaddexp(0.0, np.logaddexp.reduce(each, axis=2, initial=-np.inf)))
-
-
-def _each_past_once(
-    ratio: Array,
-    base: Sequence[Array],
-    each: Sequence[Array],
-    tracks: Sequence[TrackEvidence],
-    mates: Sequence[Teammate],
-) -> Array:
-    """Log ratios (n, k, m) of tracks and teammates, in which no teammate has two tracks at one time of the past.
-
-    A track that was a teammate and is something else now leaves another track no more than the time since then. As far
-    as it may have been something else all the time, the other one may have been that teammate for as long.
-    base (s, k), each (s, k, m): by track, log evidence before each segment, and of it.
-    """
-    once = ratio.copy()
-    nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
-    for h, holder in enumerate(tracks):
-        c = next((c for c, mate in enumerate(mates) if mate.drone_id == holder.held), None)
-        if c is None or len(base[h]) == 1:
-            continue
-        others = np.logaddexp.reduce(np.delete(ratio[h], c, axis=1), axis=1, initial=0.0)
-        whole = base[h][0][:, None] + np.delete(each[h][0], c, axis=1) - nobody[h][:, None]
-        always = np.logaddexp(base[h][0] - nobody[h], np.logaddexp.reduce(whole, axis=1, initial=-np.inf))
-        share = np.clip(np.exp(np.minimum(always - others, 0.0)), 1e-300, 1.0 - 1e-12)
-        for i, track in enumerate(tracks):
-            if i != h and track.held != holder.held:
-                late = np.logaddexp.reduce(base[i][1:] + each[i][1:, :, c], axis=0, initial=-np.inf)
-                once[i, :, c] = np.logaddexp(
-                    np.log(share) + once[i, :, c], np.log1p(-share) + late - nobody[i]
-                )
-    return once
-
-
-def _matched(log_ratio: Array) -> MatchedOfEach:
-    """As `matched_of_each`, of log ratios (k, n, m) however large: of a track that is somebody by more than
-    LOG_RATIO_MOST, that it is nobody is as unlikely as exp(-LOG_RATIO_MOST)."""
-    beyond = np.maximum(log_ratio.max(axis=2, initial=-np.inf) - LOG_RATIO_MOST, 0.0)
-    found = matched_of_each(log_ratio - beyond[:, :, None])
-    return MatchedOfEach(found.probability, found.log_total + beyond.sum(axis=1))
-
-
-def _worth_matching(R: Array, log_w: Array) -> NDArray[np.intp]:
-    """The components that may have weight, by bounds; R (k, n, m) log ratios, log_w (k,) log weights without them."""
-    if not R.size:
-        return np.flatnonzero(log_w > log_w.max() + LOG_SLEEPS)
-    by_row = np.logaddexp(0.0, np.logaddexp.reduce(R, axis=2)).sum(axis=1)
-    by_column = np.logaddexp(0.0, np.logaddexp.reduce(R, axis=1)).sum(axis=1)
-    upper = log_w + np.minimum(by_row, by_column)
-    left, lower, k = R.copy(), log_w.copy(), np.arange(len(R))
-    for _ in range(min(R.shape[1:])):
-        n, m = np.divmod(left.reshape(len(R), -1).argmax(axis=1), R.shape[2])
-        lower += np.maximum(left[k, n, m], 0.0)
-        left[k, n, :] = -np.inf
-        left[k, :, m] = -np.inf
-    return np.flatnonzero(upper > lower.max() + LOG_SLEEPS)

@@ -408,7 +408,7 @@ class TeamPosterior:
         told = track.whole
         if mate is not None and p > P_FRAME_KEPT:
             mate.keep(track.told().M[best, mate.column], t)
-            told = track.bases(len(told))[best]
+            told = track.pasts(len(told)).log[best]
         self.mixture.keep(told, t)
 
     # --- what it makes of it ---

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.team.deviation import Deviation, DeviationFilters
 from swarmtrack.team.evidence import design, fading
+from swarmtrack.team.pasts import NOBODY, Past
 from swarmtrack.team.priors import (
     ATTITUDE_LASTING_SIGMA_RAD,
     BOX_SIZE_SIGMA_LN,
@@ -75,13 +76,13 @@ class Bearing(NamedTuple):
 @dataclass(slots=True)
 class TrackSegment:
     """since [s]; sum (n, …): of the bearings since then; deviation: of the teammates; log_handover: log prior that it
-    began there; base (k,): log evidence of all that was before, by component, None for the first."""
+    began there; past: of all that was before, None for the first."""
 
     since: float
     sum: Array
     deviation: DeviationFilters
     log_handover: float = 0.0
-    base: Array | None = None
+    past: Past | None = None
     weight: float = 0.0
 
 
@@ -236,7 +237,7 @@ class TrackEvidence:
         """What was said of a teammate until t is a log ratio, whatever its frame; by_place: how much of it motion does
         not say. Of the segments the likeliest is left: in what was before the others, the old frame speaks."""
         now = self.segments[self.likeliest_segment]
-        now.since, now.log_handover, now.base, now.weight = -math.inf, 0.0, None, 1.0
+        now.since, now.log_handover, now.past, now.weight = -math.inf, 0.0, None, 1.0
         self.segments, self.whole = [now], None
         self.forget(column)
         self._fade(t)
@@ -259,6 +260,9 @@ class TrackEvidence:
         for segment in self.segments:
             segment.sum = np.delete(segment.sum, column, 0)
             segment.deviation.remove(column)
+            if segment.past is not None:
+                of, was = segment.past.column, segment.past.column == column
+                segment.past = segment.past._replace(column=np.where(was, NOBODY, of - (of > column)))
         self.strangers.remove(column)
         self.n -= 1
 
@@ -392,27 +396,29 @@ class TrackEvidence:
             self._hazard = 0.0
             self.begin_segment(t, log_handover, self.whole.copy())
 
-    def begin_segment(self, t: float, log_handover: float, base: Array) -> None:
-        """From t on it may be another; base (k,): log evidence of all until then. Of too many segments the least
-        likely is dropped."""
+    def begin_segment(self, t: float, log_handover: float, log: Array) -> None:
+        """From t on it may be another; log (k,): evidence of all until then. Of too many segments the least likely is
+        dropped."""
         if len(self.segments) > SEGMENTS_KEPT:
             del self.segments[min(range(1, len(self.segments)), key=lambda s: self.segments[s].weight)]
         self.segments.append(
-            TrackSegment(t, np.zeros((self.n, _WIDTH)), DeviationFilters(self.n), log_handover, base)
+            TrackSegment(
+                t, np.zeros((self.n, _WIDTH)), DeviationFilters(self.n), log_handover, Past.unknown(log)
+            )
         )
 
     @property
     def waits(self) -> bool:
         """Whether no bearing of the newest segment has been compared yet: only what was before it."""
-        return self.segments[-1].base is not None and self.t < self.segments[-1].since
+        return self.segments[-1].past is not None and self.t < self.segments[-1].since
 
-    def begin_waiting_on(self, before: Array, used: NDArray[np.intp]) -> Array:
-        """before (len(used),): log evidence of all before the newest segment, by the components used. Returns the same
-        with its prior."""
+    def begin_waiting_on(self, past: Past) -> Past:
+        """past: of all before the newest segment, by all components. Returns the same with its prior."""
         newest = self.segments[-1]
-        assert newest.base is not None
-        newest.base[used] = before
-        return newest.log_handover + before
+        newest.past = past
+        return past._replace(
+            log=newest.log_handover + past.log, log_other=newest.log_handover + past.log_other
+        )
 
     def weigh_segments(self, weight: Array) -> None:
         """weight (s,): how likely it is that the present target is that since then."""
@@ -429,15 +435,16 @@ class TrackEvidence:
         log = sums[..., _LOG] - stranger
         return Told(M, log, sums[..., _BY_PLACE], self.compared, self.size, self.size_log)
 
-    def bases(self, k: int) -> Array:
-        """(s, k): log evidence of all before each segment, with its prior."""
-        return np.array(
-            [
-                np.full(k, s.log_handover)
-                + (0.0 if s.base is None else fading(max(self.t - s.since, 0.0)) * s.base)
-                for s in self.segments
-            ]
-        )
+    def pasts(self, k: int) -> Past:
+        """(s, k): of all before each segment, with its prior."""
+        found = []
+        for segment in self.segments:
+            log, column, other = segment.past or Past.unknown(np.zeros(k))
+            faded = 0.0 if segment.past is None else fading(max(self.t - segment.since, 0.0))
+            found.append(
+                Past(segment.log_handover + faded * log, column, segment.log_handover + faded * other)
+            )
+        return Past(*map(np.array, zip(*found, strict=True)))
 
     def learn(self, whole: Array, used: NDArray[np.intp], k: int) -> None:
         """whole (len(used),): log evidence of all bearings by the components used, of k."""
@@ -451,5 +458,6 @@ class TrackEvidence:
         if self.whole is not None:
             self.whole = mapped(self.whole)
         for segment in self.segments:
-            if segment.base is not None:
-                segment.base = mapped(segment.base)
+            if segment.past is not None:
+                log, column, other = segment.past
+                segment.past = Past(mapped(log), mapped(column.astype(float)).astype(int), mapped(other))

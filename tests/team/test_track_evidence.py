@@ -7,7 +7,7 @@ import pytest
 
 from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.priors import BEARINGS_LAST_S, BOX_SPAN_SIGMA_LN, SEGMENTS_KEPT
-from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
+from swarmtrack.team.track_evidence import NOBODY, Bearing, Compared, Past, TrackEvidence
 
 MATES = 3
 
@@ -52,12 +52,14 @@ def test_a_bearing_from_before_a_segment_is_not_of_it():
 
 
 def test_a_segment_waits_for_its_first_bearing_and_what_comes_until_then_is_of_before():
-    track, used = flown([0.0, 0.5, 1.0]), np.array([0, 2])
+    track = flown([0.0, 0.5, 1.0])
     assert not track.waits
     track.begin_segment(1.2, -5.0, np.zeros(4))
     assert track.waits
-    assert track.begin_waiting_on(np.array([-2.0, -3.0]), used) == pytest.approx([-7.0, -8.0])
-    assert track.bases(4)[1] == pytest.approx([-7.0, -5.0, -8.0, -5.0])
+    past = Past(np.array([-2.0, -3.0]), np.array([0, NOBODY]), np.array([-4.0, -3.0]))
+    assert track.begin_waiting_on(past).log == pytest.approx([-7.0, -8.0])
+    assert track.pasts(2).log[1] == pytest.approx([-7.0, -8.0])
+    assert track.pasts(2).without(0)[1] == pytest.approx([-9.0, -8.0])
     add(track, 1.5, np.random.default_rng(15))
     assert not track.waits
 

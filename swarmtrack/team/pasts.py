@@ -1,0 +1,108 @@
+"""What tracks were before they may have gone over to other targets.
+
+A track's newest segment begins with its past: the evidence of all bearings until then, whoever it was. Two tracks were
+never the same teammate at once, in the past as little as now. So a past is what a track says beyond all others, in one
+matching; and it is known which teammate it was most likely, for the case that this was another track.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmtrack.messages import Array
+from swarmtrack.team.matchings import log_total
+
+NOBODY = -1
+
+
+class Past(NamedTuple):
+    """What a track's bearings until some time say, by component, whoever it was: log evidence (…, k); the column of the
+    teammate that it was most likely, NOBODY where it was none; and log evidence if it was any other."""
+
+    log: Array
+    column: NDArray[np.intp]
+    log_other: Array
+
+    @classmethod
+    def unknown(cls, log: Array) -> Past:
+        """Of which only the evidence is known."""
+        return cls(log, np.full(log.shape, NOBODY), log)
+
+    def of(self, chosen: Any) -> Past:
+        """Part of it: chosen is an index into all three."""
+        return Past(self.log[chosen], self.column[chosen], self.log_other[chosen])
+
+    def without(self, column: int | NDArray[np.intp]) -> Array:
+        """Log evidence (…, k) if that teammate was another track then; column: one, or (k,)."""
+        return np.asarray(np.where(self.column == column, self.log_other, self.log))
+
+
+def log_ratios(base: Sequence[Array], each: Sequence[Array]) -> tuple[list[Array], Array]:
+    """base (s, k), each (s, k, m): by track, log evidence before each segment, and of it. Returns by track the log
+    evidence (k,) if it is nobody now; and of each track and teammate the log ratio (n, k, m) to that."""
+    nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
+    ratio = [
+        np.logaddexp.reduce(b[:, :, None] + e, axis=0) - none[:, None]
+        for b, e, none in zip(base, each, nobody, strict=True)
+    ]
+    return nobody, np.array(ratio)
+
+
+def pasts_from_now(waiting: Collection[int], pasts: Sequence[Past], each: Sequence[Array]) -> dict[int, Past]:
+    """Pasts (k,) of the newest segments of the tracks `waiting`, by index. pasts, each (s, k, m): by track, before each
+    segment and of it. Nothing of the newest segment of a waiting track has been compared: bearings of before it that
+    came since are of what it was before.
+    """
+    if not waiting:
+        return {}
+    until = [slice(None, -1) if i in waiting else slice(None) for i in range(len(pasts))]
+    before = [past.of(rows) for past, rows in zip(pasts, until, strict=True)]
+    of = [e[rows] for e, rows in zip(each, until, strict=True)]
+    nobody, ratio = log_ratios([past.log for past in before], of)
+    left, found = list(range(len(pasts))), {}
+    total = log_total(ratio[left])
+    for i in waiting:
+        left.remove(i)
+        others = log_total(ratio[left])
+        log, total = nobody[i] + total - others, others
+        column = ratio[i].argmax(axis=1)
+        other = np.logaddexp.reduce(before[i].without(column) + _anybody_but(column, of[i]), axis=0)
+        found[i] = Past(log, column, np.minimum(other, log))
+    return found
+
+
+def _anybody_but(column: int | NDArray[np.intp], each: Array) -> Array:
+    """Log ratio (s, k) to nobody of each segment, whoever it is but that teammate: column: one, or (k,); each
+    (s, k, m)."""
+    left = each.copy()
+    left[:, np.arange(each.shape[1]), column] = -np.inf
+    return np.asarray(np.logaddexp(0.0, np.logaddexp.reduce(left, axis=2, initial=-np.inf)))
+
+
+def each_past_once(
+    ratio: Array, nobody: Sequence[Array], pasts: Sequence[Past], each: Sequence[Array]
+) -> Array:
+    """Log ratios (n, k, m) of tracks and teammates, in which no teammate has two tracks at one time of the past.
+
+    A track that was a teammate and is something else now leaves another track no more than the time since then; and if
+    the other was that teammate all the time, the one was something else. nobody (k,), each (s, k, m): by track, as of
+    `log_ratios`.
+    """
+    more = np.zeros_like(ratio)
+    for i, (past, e) in enumerate(zip(pasts, each, strict=True)):
+        for c in np.unique(past.column[past.column != NOBODY]).tolist():
+            now = _anybody_but(c, e)
+            lost = np.logaddexp.reduce(past.without(c) + now, axis=0)
+            lost -= np.logaddexp.reduce(past.log + now, axis=0)
+            more[:, :, c] += lost
+            more[i, :, c] -= lost
+    once = ratio.copy()
+    for h, c in np.argwhere(more.min(axis=1, initial=0.0) < 0.0).tolist():
+        claims = pasts[h].log + each[h][:, :, c] - nobody[h]
+        late = np.logaddexp.reduce(claims[1:], axis=0, initial=-np.inf)
+        once[h, :, c] = np.logaddexp(claims[0] + more[h, :, c], late)
+    return once
