@@ -55,7 +55,7 @@ class AutopilotStamps:
         delay = numbers.newest - unwrapped
         is_late = (
             (came and delay != 0.0)
-            or self._fits(message_id, unwrapped, number)
+            or self._fits(t, message_id, unwrapped, number)
             or (delay == -math.inf and t - self._began_at < LATEST_WAY_S and self._senders.comes_late)
         )
         is_copy = came or is_late
@@ -85,10 +85,11 @@ class AutopilotStamps:
             self._read = t, stamp
         return step, stamp
 
-    def _fits(self, message_id: int, stamp: float, number: int) -> bool:
-        """Whether a frame fits among those that came before: the first way had lost it."""
-        known = (numbers.get(message_id) for numbers in (self._numbers, self._numbers_before))
-        return any(each.holds(stamp, number) for each in known if each is not None)
+    def _fits(self, t: float, message_id: int, stamp: float, number: int) -> bool:
+        """Whether a frame fits among those that came before: the first way had lost it. Later a new boot's stamps are
+        those of the last one again, so there some fit by chance."""
+        boots = [self._numbers, *([self._numbers_before] if t - self._began_at < LATEST_WAY_S else [])]
+        return any(numbers[message_id].holds(stamp, number) for numbers in boots if message_id in numbers)
 
     def _is_early(self, t: float, raw: float, wrap_s: float) -> bool:
         """Whether a kind of message that was not there before is of another boot: an autopilot sends what it always

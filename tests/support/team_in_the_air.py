@@ -87,7 +87,10 @@ class Lines:
         sent = time.monotonic()
         with suppress(ProcessLookupError):
             self.process.send_signal(number)
-        await asyncio.wait_for(self.process.wait(), PATIENCE)
+        # wait() would wait for the end of its output too, which nobody may have read.
+        async with asyncio.timeout(PATIENCE):
+            while self.process.returncode is None:  # noqa: ASYNC110
+                await asyncio.sleep(0.02)
         await self._reading
         return sent
 
