@@ -120,10 +120,7 @@ class JointMixture:
     ) -> Array:
         """(n, m): the probability that each track is each teammate. Each track remembers what it says of the
         components, and the weights of its segments."""
-        # What a segment begins with is kept, so it is worked out for all components.
-        waiting = [i for i, track in enumerate(tracks) if track.waits]
-        awake = self._awake()
-        used = np.arange(len(self.errors)) if waiting else awake
+        used = self._awake()
         log_prior, off = self.errors.log_prior(known.heading_sigma)
         log_w = log_prior[used] + self._told_at(t)[used]
         pasts = [track.pasts(len(self.errors)).of((slice(None), used)) for track in tracks]
@@ -132,11 +129,12 @@ class JointMixture:
         told = [track.told() for track in tracks]
         for c, mate in enumerate(mates):
             log_w = log_w + self._of_teammate(c, mate, tracks, told, each, used=used, t=t, known=known)
+        waiting = [i for i, track in enumerate(tracks) if track.waits]
         for i, past in pasts_from_now(waiting, pasts, each).items():
-            for rows, last in zip(pasts[i], tracks[i].begin_waiting_on(past), strict=True):
+            for rows, last in zip(pasts[i], tracks[i].begin_waiting_on(past, used), strict=True):
                 rows[-1] = last
         for track, b, e in zip(tracks, base, each, strict=True):
-            self._hold_back(track, b, e, mates, used=used, awake=awake, t=t)
+            self._hold_back(track, b, e, mates, used=used, t=t)
         nobody, ratio = log_ratios(base, each)
         ratio = ratio.reshape(len(tracks), len(used), len(mates))
         log_w = log_w + sum(nobody, np.zeros(len(used)))
@@ -236,11 +234,10 @@ class JointMixture:
         mates: Sequence[Teammate],
         *,
         used: NDArray[np.intp],
-        awake: NDArray[np.intp],
         t: float,
     ) -> None:
         """While the teammate that a track was says nothing, others explain it no better than chance would: in the log
-        ratios `each` (s, k, m), and in what the track remembers. What sleeping components fit is no measure of that."""
+        ratios `each` (s, k, m), and in what the track remembers."""
         silent = next((mate for mate in mates if mate.drone_id == track.held and not mate.knows(t)), None)
         if silent is None:
             track.unheard = None
@@ -251,8 +248,7 @@ class JointMixture:
             return  # It was compared with nobody since.
         since = [segment.since for segment in track.segments]
         speak = np.array([mate.knows(t) for mate in mates])
-        at = np.searchsorted(used, awake)
-        more = track.unheard.held_back(t, since, base[:, at], each[:, at], used=awake, speak=speak)
+        more = track.unheard.held_back(t, since, base, each, used=used, speak=speak)
         track.hold_back([mate.column for mate in mates], more)
         each -= more
 

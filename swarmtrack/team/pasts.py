@@ -30,7 +30,7 @@ class Past(NamedTuple):
     @classmethod
     def unknown(cls, log: Array) -> Past:
         """Of which only the evidence is known."""
-        return cls(log, np.full(log.shape, NOBODY), log)
+        return cls(log, np.full(log.shape, NOBODY), log.copy())
 
     def of(self, chosen: Any) -> Past:
         """Part of it: chosen is an index into all three."""

@@ -173,6 +173,8 @@ class TrackEvidence:
     """The drone that it was last rather than not; 0: it was none yet."""
     unheard: UnheardTrack | None = None
     """While the teammate that it was last says nothing."""
+    _learned: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, int))
+    """The components by which it was worked out last."""
     _returned: set[int] = field(default_factory=set)
     """The drones of which was asked whether this track is theirs come back."""
     _hazard: float = 0.0
@@ -394,7 +396,10 @@ class TrackEvidence:
         if age >= SEGMENT_LEAST_S or is_back:
             log_handover = math.log(min(max(self._hazard, HANDOVER_LEAST), HANDOVER_MOST))
             self._hazard = 0.0
-            self.begin_segment(t, log_handover, self.whole.copy())
+            # What sleeping components would make of it is not known, so they gain nothing by it.
+            log = np.zeros(len(self.whole))
+            log[self._learned] = self.whole[self._learned]
+            self.begin_segment(t, log_handover, log)
 
     def begin_segment(self, t: float, log_handover: float, log: Array) -> None:
         """From t on it may be another; log (k,): evidence of all until then. Of too many segments the least likely is
@@ -412,10 +417,12 @@ class TrackEvidence:
         """Whether no bearing of the newest segment has been compared yet: only what was before it."""
         return self.segments[-1].past is not None and self.t < self.segments[-1].since
 
-    def begin_waiting_on(self, past: Past) -> Past:
-        """past: of all before the newest segment, by all components. Returns the same with its prior."""
+    def begin_waiting_on(self, past: Past, used: NDArray[np.intp]) -> Past:
+        """past: of all before the newest segment, by the components used. Returns the same with its prior."""
         newest = self.segments[-1]
-        newest.past = past
+        assert newest.past is not None
+        for every, value in zip(newest.past, past, strict=True):
+            every[used] = value
         return past._replace(
             log=newest.log_handover + past.log, log_other=newest.log_handover + past.log_other
         )
@@ -450,13 +457,13 @@ class TrackEvidence:
         """whole (len(used),): log evidence of all bearings by the components used, of k."""
         if self.whole is None:
             self.whole = np.zeros(k)
-        self.whole[used] = whole
+        self.whole[used], self._learned = whole, used
 
     def map_components(self, mapped: Callable[[Array], Array]) -> None:
         """The components are others now: mapped takes (k,) of theirs to (k',)."""
         self.unheard = None
         if self.whole is not None:
-            self.whole = mapped(self.whole)
+            self.whole, self._learned = mapped(self.whole), np.zeros(0, int)
         for segment in self.segments:
             if segment.past is not None:
                 log, column, other = segment.past

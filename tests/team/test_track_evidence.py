@@ -57,9 +57,9 @@ def test_a_segment_waits_for_its_first_bearing_and_what_comes_until_then_is_of_b
     track.begin_segment(1.2, -5.0, np.zeros(4))
     assert track.waits
     past = Past(np.array([-2.0, -3.0]), np.array([0, NOBODY]), np.array([-4.0, -3.0]))
-    assert track.begin_waiting_on(past).log == pytest.approx([-7.0, -8.0])
-    assert track.pasts(2).log[1] == pytest.approx([-7.0, -8.0])
-    assert track.pasts(2).without(0)[1] == pytest.approx([-9.0, -8.0])
+    assert track.begin_waiting_on(past, np.array([0, 2])).log == pytest.approx([-7.0, -8.0])
+    assert track.pasts(4).log[1] == pytest.approx([-7.0, -5.0, -8.0, -5.0])
+    assert track.pasts(4).without(0)[1] == pytest.approx([-9.0, -5.0, -8.0, -5.0])
     add(track, 1.5, np.random.default_rng(15))
     assert not track.waits
 
