@@ -11,8 +11,8 @@ from swarmtrack.tracking.marginals_of_each import MatchedOfEach, matched_of_each
 
 
 def match_all(log_ratio: Array) -> MatchedOfEach:
-    """As `matched_of_each`, of log ratios (k, n, m) however large: of a track that is somebody by more than
-    LOG_RATIO_MOST, that it is nobody is as unlikely as exp(-LOG_RATIO_MOST)."""
+    """As `matched_of_each`, of log ratios (k, n, m) however large: of a track that is a teammate by more than
+    LOG_RATIO_MOST, that it is none is as unlikely as exp(-LOG_RATIO_MOST)."""
     beyond = np.maximum(log_ratio.max(axis=2, initial=-np.inf) - LOG_RATIO_MOST, 0.0)
     found = matched_of_each(log_ratio - beyond[:, :, None])
     return MatchedOfEach(found.probability, found.log_total + beyond.sum(axis=1))

@@ -1,6 +1,6 @@
 """What tracks were before they may have gone over to other targets.
 
-A track's newest segment begins with its past: the evidence of all bearings until then, whoever it was. Two tracks were
+A track's newest segment begins with its past: the evidence of all bearings until then, for any target. Two tracks were
 never the same teammate at once, in the past as little as now. So a past is what a track says beyond all others, in one
 matching; and it is known which teammate it was most likely, for the case that this was another track.
 """
@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.team.matchings import log_total
 
-NOBODY = -1
+COLUMN_OF_NOBODY = -1
 
 
 class Past(NamedTuple):
-    """What a track's bearings until some time say, by component, whoever it was: log evidence (…, k); the column of the
-    teammate that it was most likely, NOBODY where it was none; and log evidence if it was any other."""
+    """What a track's bearings until some time say, by component, for any target: log evidence (…, k); the column of the
+    teammate that it was most likely, COLUMN_OF_NOBODY where it was none; and log evidence if it was any other."""
 
     log: Array
     column: NDArray[np.intp]
@@ -29,8 +29,8 @@ class Past(NamedTuple):
 
     @classmethod
     def unknown(cls, log: Array) -> Past:
-        """Of which only the evidence is known."""
-        return cls(log, np.full(log.shape, NOBODY), log.copy())
+        """A past with nothing known but its evidence."""
+        return cls(log, np.full(log.shape, COLUMN_OF_NOBODY), log.copy())
 
     def of(self, chosen: Any) -> Past:
         """Part of it: chosen is an index into all three."""
@@ -43,7 +43,7 @@ class Past(NamedTuple):
 
 def log_ratios(base: Sequence[Array], each: Sequence[Array]) -> tuple[list[Array], Array]:
     """base (s, k), each (s, k, m): by track, log evidence before each segment, and of it. Returns by track the log
-    evidence (k,) if it is nobody now; and of each track and teammate the log ratio (n, k, m) to that."""
+    evidence (k,) if it is no teammate now; and of each track and teammate the log ratio (n, k, m) to that."""
     nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
     ratio = [
         np.logaddexp.reduce(b[:, :, None] + e, axis=0) - none[:, None]
@@ -76,25 +76,25 @@ def pasts_from_now(waiting: Collection[int], pasts: Sequence[Past], each: Sequen
 
 
 def _anybody_but(column: int | NDArray[np.intp], each: Array) -> Array:
-    """Log ratio (s, k) to nobody of each segment, whoever it is but that teammate: column: one, or (k,); each
-    (s, k, m)."""
+    """Log ratio (s, k) of each segment: any teammate but one, or none, to none. column: of the excluded one, or (k,) of
+    them; each (s, k, m)."""
     left = each.copy()
     left[:, np.arange(each.shape[1]), column] = -np.inf
     return np.asarray(np.logaddexp(0.0, np.logaddexp.reduce(left, axis=2, initial=-np.inf)))
 
 
 def each_past_once(
-    ratio: Array, nobody: Sequence[Array], pasts: Sequence[Past], each: Sequence[Array]
+    ratio: Array, none: Sequence[Array], pasts: Sequence[Past], each: Sequence[Array]
 ) -> Array:
     """Log ratios (n, k, m) of tracks and teammates, in which no teammate has two tracks at one time of the past.
 
     A track that was a teammate and is something else now leaves another track no more than the time since then; and if
-    the other was that teammate all the time, the one was something else. nobody (k,), each (s, k, m): by track, as of
+    the other was that teammate all the time, the one was something else. none (k,), each (s, k, m): by track, as of
     `log_ratios`.
     """
     more = np.zeros_like(ratio)
     for i, (past, e) in enumerate(zip(pasts, each, strict=True)):
-        for c in np.unique(past.column[past.column != NOBODY]).tolist():
+        for c in np.unique(past.column[past.column != COLUMN_OF_NOBODY]).tolist():
             now = _anybody_but(c, e)
             lost = np.logaddexp.reduce(past.without(c) + now, axis=0)
             lost -= np.logaddexp.reduce(past.log + now, axis=0)
@@ -102,7 +102,7 @@ def each_past_once(
             more[i, :, c] -= lost
     once = ratio.copy()
     for h, c in np.argwhere(more.min(axis=1, initial=0.0) < 0.0).tolist():
-        claims = pasts[h].log + each[h][:, :, c] - nobody[h]
+        claims = pasts[h].log + each[h][:, :, c] - none[h]
         late = np.logaddexp.reduce(claims[1:], axis=0, initial=-np.inf)
         once[h, :, c] = np.logaddexp(claims[0] + more[h, :, c], late)
     return once

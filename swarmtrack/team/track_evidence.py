@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.team.deviation import Deviation, DeviationFilters
 from swarmtrack.team.evidence import design, fading
-from swarmtrack.team.pasts import NOBODY, Past
+from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past
 from swarmtrack.team.priors import (
     ATTITUDE_LASTING_SIGMA_RAD,
     BOX_SIZE_SIGMA_LN,
@@ -264,7 +264,9 @@ class TrackEvidence:
             segment.deviation.remove(column)
             if segment.past is not None:
                 of, was = segment.past.column, segment.past.column == column
-                segment.past = segment.past._replace(column=np.where(was, NOBODY, of - (of > column)))
+                segment.past = segment.past._replace(
+                    column=np.where(was, COLUMN_OF_NOBODY, of - (of > column))
+                )
         self.strangers.remove(column)
         self.n -= 1
 

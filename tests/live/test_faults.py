@@ -35,8 +35,8 @@ PARTITIONS_S = (
     pytest.param(30.0, marks=pytest.mark.long("the 30 s of docs/swarm.md")),
 )  # 4 and 15 leases
 LOSSES_S = (12.0, pytest.param(40.0, marks=pytest.mark.long("the 40 s of docs/swarm.md")))  # 6 and 20 leases
-# Tracks of each of three drones on 64 kbit/s; 3.5 to 4.7 were measured.
-NARROW_LEAST_HZ = 2.0
+# Tracks of each of three drones on 64 kbit/s; 3.5 to 4.7 were measured, 1.6 beside other tests.
+NARROW_LEAST_HZ = 1.0
 LISTENING_S = (10.0, pytest.param(25.0, marks=pytest.mark.long("listens for 12 leases, not 5")))
 CRASHES = (2, pytest.param(6, marks=pytest.mark.long("six crashes, not two")))
 # Of world time. The first that comes after everybody was named is the one that is watched, on however slow a machine.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from swarmtrack.team.matchings import log_total
-from swarmtrack.team.pasts import NOBODY, Past, each_past_once, log_ratios, pasts_from_now
+from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past, each_past_once, log_ratios, pasts_from_now
 
 BOTH = (0, 1)
 
@@ -53,4 +53,4 @@ def test_of_a_past_the_likeliest_is_known_and_what_it_was_otherwise():
     past = found[0]
     assert (past.log[0], past.column[0]) == (pytest.approx(50.0), 0)
     assert past.without(0)[0] == pytest.approx(20.0)
-    assert past.without(1)[0] == past.without(NOBODY)[0] == past.log[0]
+    assert past.without(1)[0] == past.without(COLUMN_OF_NOBODY)[0] == past.log[0]

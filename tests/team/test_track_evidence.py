@@ -7,7 +7,7 @@ import pytest
 
 from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.priors import BEARINGS_LAST_S, BOX_SPAN_SIGMA_LN, SEGMENTS_KEPT
-from swarmtrack.team.track_evidence import NOBODY, Bearing, Compared, Past, TrackEvidence
+from swarmtrack.team.track_evidence import COLUMN_OF_NOBODY, Bearing, Compared, Past, TrackEvidence
 
 MATES = 3
 
@@ -56,7 +56,7 @@ def test_a_segment_waits_for_its_first_bearing_and_what_comes_until_then_is_of_b
     assert not track.waits
     track.begin_segment(1.2, -5.0, np.zeros(4))
     assert track.waits
-    past = Past(np.array([-2.0, -3.0]), np.array([0, NOBODY]), np.array([-4.0, -3.0]))
+    past = Past(np.array([-2.0, -3.0]), np.array([0, COLUMN_OF_NOBODY]), np.array([-4.0, -3.0]))
     assert track.begin_waiting_on(past, np.array([0, 2])).log == pytest.approx([-7.0, -8.0])
     assert track.pasts(4).log[1] == pytest.approx([-7.0, -5.0, -8.0, -5.0])
     assert track.pasts(4).without(0)[1] == pytest.approx([-9.0, -5.0, -8.0, -5.0])
