@@ -45,9 +45,10 @@ def reader_may_leave() -> Iterator[None]:
             if sys.stdout is not None:  # it was closed before we began
                 sys.stdout.flush()  # what is left is written as the interpreter ends, where nobody catches anything
     except OSError as error:
-        if error.errno not in (errno.EPIPE, errno.ENOSPC):
+        if not isinstance(error, BrokenPipeError) and error.errno != errno.ENOSPC:
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if sys.stdout is not None:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if error.errno == errno.ENOSPC:
             raise SystemExit(
                 f"{Path(sys.argv[0]).name}: {error}, expected space for all that is written"

@@ -34,9 +34,11 @@ _LOGIN = re.compile(
     rf"({_SCHEME}(?://)?+)(?!\[?(?:USER:)?PASSWORD@)(?:[^\s\"@]{{1,300}}+@)+",
     re.IGNORECASE,
 )
-# Whole, or the path and query alone, which a server may repeat.
+# Whole, or the path and query alone, which a server may repeat. It begins where no sign of a path stands in front, so each
+# text is tried once.
+_PATH = r"[\w/:.%~+@-]"
 _URL = re.compile(
-    rf"(?:{_SCHEME}//|(?<![\w/:.-])/(?!dev/)[^\s\"?=]*\?)[^\s\"]*[^\s\"'),;:]",
+    rf"(?:{_SCHEME}//|(?<!{_PATH})/(?!dev/){_PATH}*\?)[^\s\"]*[^\s\"'),;:]",
     re.IGNORECASE,
 )
 _SECRET = re.compile(r"\b(\w{0,60}(?:pass|pwd|psw|loginpas|secret|token)\w{0,20}=)[^\s\"&;]+", re.IGNORECASE)

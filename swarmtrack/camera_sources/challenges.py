@@ -16,6 +16,7 @@ from urllib.request import (
 
 from swarmtrack.camera_sources.address import Login
 
+UNKNOWN_DIGEST = "SHA-512-256"  # of RFC 7616, the only one that no library here computes
 _QUOTED = re.compile(r'"(?:[^"\\]|\\.)*+"?')
 # A parameter has an equals sign, a scheme has none.
 _SCHEME_START = re.compile(r"(?:^|,)\s*+([^\s,=]++)(?!\s*=)")
@@ -33,6 +34,12 @@ def challenges_of(lines: Iterable[str]) -> list[str]:
     return found
 
 
+def digests_of(challenges: Iterable[str]) -> list[str]:
+    """Challenges of the digest scheme that can be answered, in the server's order of preference."""
+    digests = (each for each in challenges if schemes_of([each]) == ("digest",))
+    return [each for each in digests if UNKNOWN_DIGEST not in each.upper()]
+
+
 def schemes_of(challenges: Iterable[str]) -> tuple[str, ...]:
     """Schemes of challenges, in lower case."""
     return tuple(each.split(maxsplit=1)[0].lower() for each in challenges)
@@ -45,10 +52,10 @@ def basic(login: Login) -> str:
 
 def authorization(challenges: Sequence[str], method: str, url: str, login: Login) -> str:
     """Authorization for an RTSP request, by digest where it is offered; empty where no offered scheme is known."""
-    digests = [each for each in challenges if each.lower().startswith("digest ")]
-    if not digests:
+    if "digest" not in schemes_of(challenges):
         return basic(login) if "basic" in schemes_of(challenges) else ""
-    return next(filter(None, (_digest(each, method, url, login) for each in digests)), "")
+    answers = (_digest(each, method, url, login) for each in digests_of(challenges))
+    return next(filter(None, answers), "")
 
 
 def _digest(challenge: str, method: str, url: str, login: Login) -> str:

@@ -14,7 +14,7 @@ from aiohttp import hdrs
 from multidict import CIMultiDict, CIMultiDictProxy
 from yarl import URL
 
-from swarmtrack.camera_sources.challenges import basic, challenges_of, schemes_of
+from swarmtrack.camera_sources.challenges import basic, challenges_of, digests_of, schemes_of
 
 if TYPE_CHECKING:
     from aiohttp.client_middlewares import ClientHandlerType
@@ -60,7 +60,7 @@ class LoginMiddleware:
             lines = response.headers.getall(hdrs.WWW_AUTHENTICATE, [])
             challenges = challenges_of(lines)
             self.schemes = schemes_of(challenges)
-            digest = next((each for each in challenges if each.lower().startswith("digest")), "none")
+            digest = next(iter(digests_of(challenges)), "none")
             return cast(aiohttp.ClientResponse, _Challenged(response, digest))
 
         response = await self._digest(request, asked)

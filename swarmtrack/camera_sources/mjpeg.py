@@ -61,7 +61,7 @@ class MjpegCamera:
         async for data in response.content.iter_any():
             now = self._clock.now()
             for part in reader.feed(data, now):
-                other = _is_no_picture(part)
+                other = _why_no_picture(part)
                 if not other:
                     self._receive(part)
                     since = now
@@ -93,7 +93,7 @@ class MjpegCamera:
         )
 
 
-def _is_no_picture(part: Part) -> str:
+def _why_no_picture(part: Part) -> str:
     """Why a part is not even a damaged picture, or empty."""
     if not part.body.strip():
         return "its parts are empty"

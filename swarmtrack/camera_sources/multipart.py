@@ -48,7 +48,7 @@ class MultipartReader:
         self._old = 0  # bytes of the buffer that came before the present feed
         self._now = self._before = 0.0  # times of this feed and of the one before it
         self._headers: dict[str, str] | None = None  # of the part whose body is being read
-        self._searched = 0  # bytes of the body that hold no delimiter
+        self._searched = 0  # bytes of the body, or of an image without delimiters, that hold no end
         self._has_parts = False
         self._is_bare = False  # images came without any delimiter
         self.garbage = 0
@@ -118,6 +118,7 @@ class MultipartReader:
     def _drop(self, count: int) -> None:
         del self._buffer[:count]
         self._old = max(0, self._old - count)
+        self._searched = max(0, self._searched - count)
 
     def _read_header(self) -> bool:
         """Find the next delimiter and the headers behind it; False: more bytes are needed."""
@@ -172,10 +173,11 @@ class MultipartReader:
                 following = self._buffer.find(_BARE_START, len(JPEG_START))
                 self._drop(following if following >= 0 else len(self._buffer) - len(JPEG_START))
                 continue
-            if (end := self._buffer.find(JPEG_END, scan)) >= 0:
+            if (end := self._buffer.find(JPEG_END, max(scan, self._searched - 1))) >= 0:
                 self._is_bare = True
                 parts.append(self._part({}, end + len(JPEG_END)))
                 return True
+            self._searched = len(self._buffer)
             if len(self._buffer) <= MAX_PART_BYTES:
                 return False
             self.oversized += 1

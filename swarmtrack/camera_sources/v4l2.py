@@ -301,9 +301,11 @@ class CaptureSession:
         """As `exposure_time`; the time of arrival where the stamp is on another clock."""
         period = self._capture.period
         t = kernel_stamp(buffer)
-        if t is None or self._slot.source.exposure(t, now) is None:
+        believed = None if t is None else self._slot.source.exposure(t, now)
+        if t is None or believed is None:
             return StampKind.ARRIVAL, now, period
-        return exposure_time(t, buffer.flags, period, self._options.exposure_us)
+        kind, middle, sigma = exposure_time(t, buffer.flags, period, self._options.exposure_us)
+        return kind, middle, max(sigma, believed[1])
 
     def _count(self, camera_sequence: int) -> None:
         step = 1

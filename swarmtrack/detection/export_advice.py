@@ -14,19 +14,21 @@ def next_step(trial: Trial, classes: int | None, fitting: Sequence[HeadReading])
     """Next step for a refused net. classes: how many it is said to distinguish; fitting: readings of its outputs by
     their shapes. A head is advised only where it would be accepted.
     """
-    steps = [step for look, step in _STEPS if look(trial)][:1] if not fitting else []
+    steps = []
     if classes is None and _is_wide_list(trial):
         steps.append(f"if it is a DETR, list its classes in {HOW_TO_SET_NAMES}")
-    of_other_classes = [reading for reading in readings(trial, None) if reading.classes is not None]
-    if of_other_classes and not fitting:
-        counts = " or ".join(f"{reading.classes} as {reading.head}" for reading in of_other_classes)
-        steps.append(
-            f"the outputs are of another number of classes, {counts}; list them in {HOW_TO_SET_NAMES}"
-        )
     if fitting:
         heads = " or ".join(dict.fromkeys(reading.head for reading in fitting))
         steps.append(
             f"export it in one of these formats or, if it is {heads} all the same, set {HOW_TO_SET_HEAD}"
+        )
+        return "; ".join(steps)
+    steps = [step for look, step in _STEPS if look(trial)][:1] + steps
+    others = [reading for reading in readings(trial, None) if reading.classes is not None]
+    if others:
+        counts = " or ".join(f"{reading.classes} as {reading.head}" for reading in others)
+        steps.append(
+            f"the outputs are of another number of classes, {counts}; list them in {HOW_TO_SET_NAMES}"
         )
     return "; ".join(steps) or "export it in one of these formats, without further outputs"
 

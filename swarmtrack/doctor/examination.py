@@ -8,20 +8,19 @@ from contextlib import suppress
 import numpy as np
 
 from swarmtrack.clock import Clock
-from swarmtrack.config.drone import CameraSection, DroneConfig, MountedCamera
+from swarmtrack.config.drone import DroneConfig, MountedCamera
 from swarmtrack.diagnosis import mounting, sources, surroundings
 from swarmtrack.diagnosis.findings import Finding, of_camera, skipped
-from swarmtrack.diagnosis.mounting import MountFacts
 from swarmtrack.diagnosis.surroundings import DetectorFacts
 from swarmtrack.doctor import machine, team
 from swarmtrack.doctor.limits import judged
 from swarmtrack.doctor.watching import SensorWatch
-from swarmtrack.errors import CalibrationError, ModelError, SwarmtrackError
+from swarmtrack.errors import ModelError, SwarmtrackError
 from swarmtrack.messages import Frame, StampKind
-from swarmtrack.runtime.assembly import make_simulation, mount
+from swarmtrack.runtime.assembly import make_simulation
 from swarmtrack.runtime.disk_facts import disk_facts
+from swarmtrack.runtime.mount_facts import mount_facts
 from swarmtrack.runtime.perception import make_detector
-from swarmtrack.sources import SimulatedSources
 
 TIMED_FRAMES = 8
 NETWORK_SECONDS = 5.0  # at most: whoever is there has answered by then
@@ -72,15 +71,6 @@ async def examine(config: DroneConfig, clock: Clock, seconds: float) -> list[Fin
         for text in ["not opened without a calibration"]
     ]
     return [*missing, *findings]
-
-
-def mount_facts(section: CameraSection, simulation: SimulatedSources | None) -> MountFacts:
-    sits = section.body_from_camera
-    try:
-        mounted = mount(section, simulation)
-    except CalibrationError as error:
-        return MountFacts(None, str(error))
-    return MountFacts(mounted, rpy_deg=None if sits is None or simulation is not None else sits.rpy_deg)
 
 
 def detector_facts(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
 from swarmtrack.follower import LocalSetpoint
-from swarmtrack.messages import Detections, Frame, ImuSample, Input, PoseWanted, ScanReport, TrackList
+from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, TrackList
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
@@ -241,7 +241,7 @@ class Replayer:
                 self._note(self._scans, digest, event.tracks.t)
                 self._note(self._states, outputs.relative_digest(event.tracks), event.tracks.t)
                 self._hash.update(digest.encode())
-            elif not isinstance(event, PoseWanted):
+            else:
                 self._result.news.append((self._elapsed, event))
 
     def _note(self, stream: _Compared, digest: str, t: float) -> None:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 import textwrap
+from dataclasses import replace
 from pathlib import Path
 
 from swarmtrack.autopilot.address import parse_address as link_address
 from swarmtrack.camera_sources.address import parse_address as camera_address
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.camera_files import load_calibration
-from swarmtrack.config.drone import CameraSection, DroneConfig, load_config, mount_camera
+from swarmtrack.config.drone import CameraSection, DroneConfig, load_config
 from swarmtrack.config.formation import fields_of_view
 from swarmtrack.diagnosis.findings import Finding, Level, fault
-from swarmtrack.diagnosis.mounting import MountFacts, check_calibration, check_mount
+from swarmtrack.diagnosis.mounting import check_calibration, check_mount
 from swarmtrack.diagnosis.sources import check_door
 from swarmtrack.diagnosis.surroundings import DetectorFacts, check_detector, check_disk, check_network
 from swarmtrack.errors import ConfigError
@@ -22,6 +23,7 @@ from swarmtrack.outputs.destinations import check_outputs
 from swarmtrack.outputs.formation_drawing import as_svg, as_text
 from swarmtrack.runtime.assembly import Parts, assemble
 from swarmtrack.runtime.disk_facts import disk_facts
+from swarmtrack.runtime.mount_facts import mount_facts
 from swarmtrack.runtime.network_facts import network_facts
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import topology
@@ -78,7 +80,11 @@ def check(path: Path) -> None:
         print(textwrap.indent(as_text(plan, config.drone.id, _views(parts)), "           "))
     start = config.drone.start
     several = len(config.cameras) > 1
-    findings = [finding for section in config.cameras for finding in _doubts(section, several=several)]
+    findings = [
+        replace(each, found=f"camera {number}: {each.found}") if several else each
+        for number, section in enumerate(config.cameras, start=1)
+        for each in _doubts(section, several=several)
+    ]
     findings += check_door(link, signed=config.autopilot.signing_key is not None)
     if start.has_unknown_sigma:
         findings.append(fault("pose.unmeasured", sigma_m=start.position_sigma_m))
@@ -119,8 +125,7 @@ def _doubts(section: CameraSection, *, several: bool) -> list[Finding]:
     """What is unlikely in the numbers of a lens and of its mounting. several: it is one of many cameras."""
     if section.simulated:
         return []
-    sits = section.body_from_camera
-    facts = MountFacts(mount_camera(section), rpy_deg=None if sits is None else sits.rpy_deg)
+    facts = mount_facts(section, None)
     return [*check_calibration(facts), *check_mount(facts, several=several)]
 
 

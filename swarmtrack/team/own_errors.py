@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -242,12 +243,12 @@ class OwnErrors:
         prior = self._prior + right
         return np.log(np.maximum(prior, 1e-300)), off / np.maximum(prior, 1e-300)
 
-    def mapped_from(self, before: OwnErrors, value: Array) -> Array:
+    def mapped_from(self, before: OwnErrors, value: NDArray[Any]) -> NDArray[Any]:
         """(k,) of these components from (k,) of those before; what is new has the first one's."""
         at = {_key(c): i for i, c in enumerate(before.components)}
         return np.asarray(value[[at.get(_key(c), 0) for c in self.components]])
 
-    def turned(self, value: Array, angle: float) -> Array:
+    def turned(self, value: NDArray[Any], angle: float) -> NDArray[Any]:
         """(k,) of the components after the own heading has stepped by angle [rad]: each has what was of its heading
         before, or the first one's where no component had that."""
         at = {_key(c): i for i, c in enumerate(self.components)}

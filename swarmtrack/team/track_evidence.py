@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -461,12 +461,11 @@ class TrackEvidence:
             self.whole = np.zeros(k)
         self.whole[used], self._learned = whole, used
 
-    def map_components(self, mapped: Callable[[Array], Array]) -> None:
+    def map_components(self, mapped: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
         """The components are others now: mapped takes (k,) of theirs to (k',)."""
         self.unheard = None
         if self.whole is not None:
             self.whole, self._learned = mapped(self.whole), np.zeros(0, int)
         for segment in self.segments:
             if segment.past is not None:
-                log, column, other = segment.past
-                segment.past = Past(mapped(log), mapped(column.astype(float)).astype(int), mapped(other))
+                segment.past = Past(*map(mapped, segment.past))

@@ -82,6 +82,7 @@ async def login_server(*challenges: str) -> AsyncIterator[LoginServer]:
         ([DIGEST], "Digest"),
         ([BASIC, DIGEST], "Digest"),
         ([DIGEST.replace("MD5", "SHA-256")], "Digest"),
+        ([DIGEST.replace("MD5", "SHA-512-256"), DIGEST], "Digest"),
         (['Digest realm="cam", nonce="abc"'], "Digest"),
         (["digest realm=cam, nonce=abc"], "Digest"),
         ([f"{BASIC}, {DIGEST}"], "Digest"),

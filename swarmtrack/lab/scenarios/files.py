@@ -8,7 +8,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Self
@@ -479,28 +479,11 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
     for k, drone_id in enumerate(ids):
         if drone_id in ids[:k]:
             wrong(("drone", k, "id"), f"{drone_id}, expected an ID that no other drone has")
-    one_by_one = sum(not drone.stranger for drone in file.drone)
     wanted = _team_size(file, drones)
-    if file.formation is None:
-        if not one_by_one:
-            wrong(("formation",), "missing, expected a table [formation], or drones one by one in [[drone]]")
-        elif wanted != one_by_one:
-            wrong(
-                ("drone",),
-                f"{wanted} drones wanted, expected {one_by_one}: it has no [formation] that makes others",
-            )
-    elif not max(1, one_by_one) <= wanted <= MAX_SCENARIO_DRONES:
-        wrong(
-            ("formation", "drones"),
-            f"{wanted} drones wanted, expected {max(1, one_by_one)} to {MAX_SCENARIO_DRONES}",
-        )
+    for key, text in _size_faults(file, wanted):
+        wrong(key, text)
     by_others = [drone.id for drone in file.drone if drone.guided]
     shape = file.formation
-    if shape is not None and shape.errand is not None and wanted > MOST_ON_ERRANDS:
-        wrong(
-            ("formation", "drones"),
-            f"{wanted} drones wanted, expected {MOST_ON_ERRANDS} at most: each errand is flown before the scenario",
-        )
     if file.codes_s and (by_others or (shape is not None and (shape.errand or shape.star) is not None)):
         wrong(
             ("codes_s",), "with guided drones, errands or a star, expected drones that hover or fly by plan"
@@ -512,7 +495,7 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
         if drone_id not in flying or drone_id in file.agents.swapped[:k]:
             wrong(("agents", "swapped"), f"drone {drone_id}, expected some of {sorted(flying)}, each once")
     if shape is not None and shape.star is not None:
-        if one_by_one:
+        if _drones_one_by_one(file):
             wrong(
                 ("drone",),
                 "of the team beside a star, expected strangers only: a star has a slot for all others",
@@ -527,6 +510,29 @@ def _drone_problems(layers: Layers, file: ScenarioFile, drones: int | None) -> l
                 f"drone {absent[0]}, which does not fly, expected some of {sorted(flying)}",
             )
     return problems
+
+
+def _size_faults(file: ScenarioFile, wanted: int) -> Iterator[tuple[Key, str]]:
+    """What is wrong with the number of drones."""
+    one_by_one = _drones_one_by_one(file)
+    if file.formation is None:
+        if not one_by_one:
+            yield ("formation",), "missing, expected a table [formation], or drones one by one in [[drone]]"
+        elif wanted != one_by_one:
+            text = f"expected {one_by_one}: it has no [formation] that makes others"
+            yield ("drone",), f"{wanted} drones wanted, {text}"
+        return
+    key, least = ("formation", "drones"), max(1, one_by_one)
+    if not least <= wanted <= MAX_SCENARIO_DRONES:
+        yield key, f"{wanted} drones wanted, expected {least} to {MAX_SCENARIO_DRONES}"
+    if file.formation.errand is not None and wanted > MOST_ON_ERRANDS:
+        text = f"expected {MOST_ON_ERRANDS} at most: each errand is flown before the scenario"
+        yield key, f"{wanted} drones wanted, {text}"
+
+
+def _drones_one_by_one(file: ScenarioFile) -> int:
+    """How many of the team have a table of their own."""
+    return sum(not drone.stranger for drone in file.drone)
 
 
 def _star_faults(section: StarSection, ids: Sequence[int]) -> list[str]:
@@ -548,18 +554,14 @@ def _star_faults(section: StarSection, ids: Sequence[int]) -> list[str]:
 def _team_size(file: ScenarioFile, drones: int | None) -> int:
     if drones is not None:
         return drones
-    return (
-        file.formation.drones
-        if file.formation is not None
-        else sum(not drone.stranger for drone in file.drone)
-    )
+    return file.formation.drones if file.formation is not None else _drones_one_by_one(file)
 
 
 def _formation_ids(file: ScenarioFile, team: int) -> list[int]:
     """The lowest free IDs, for all team members that are not described one by one."""
     taken = {drone.id for drone in file.drone}
     free = (drone_id for drone_id in itertools.count(1) if drone_id not in taken)
-    return list(itertools.islice(free, team - sum(not drone.stranger for drone in file.drone)))
+    return list(itertools.islice(free, team - _drones_one_by_one(file)))
 
 
 def _autopilots(file: ScenarioFile, members: Sequence[int], ids: Sequence[int]) -> dict[int, AutopilotKind]:
