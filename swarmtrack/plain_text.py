@@ -34,8 +34,8 @@ _LOGIN = re.compile(
     rf"({_SCHEME}(?://)?+)(?!\[?(?:USER:)?PASSWORD@)(?:[^\s\"@]{{1,300}}+@)+",
     re.IGNORECASE,
 )
-# Whole, or the path and query alone, which a server may repeat. It begins where no sign of a path stands in front, so each
-# text is tried once.
+# Whole, or the path and query alone, which a server may repeat. No sign of a path stands in front of it, so no text is
+# tried twice.
 _PATH = r"[\w/:.%~+@-]"
 _URL = re.compile(
     rf"(?:{_SCHEME}//|(?<!{_PATH})/(?!dev/){_PATH}*\?)[^\s\"]*[^\s\"'),;:]",

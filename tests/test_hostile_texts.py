@@ -17,6 +17,7 @@ from swarmtrack.config.drone import load_config
 from swarmtrack.config.toml.layers import MAX_SEARCHED, MOST_FILES, MOST_PARTS, key_lines
 from swarmtrack.errors import CalibrationError, ConfigError, SwarmtrackError
 from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.plain_text import hide_logins
 
 CALIBRATION = (ROOT / "configs" / "usb-camera.yaml").read_text(encoding="utf-8")
 CONFIG = """\
@@ -259,3 +260,9 @@ def test_any_mutation_of_any_calibration_is_read_or_refused(tmp_path, count, nam
 def test_any_mutation_of_a_scenario_is_read_or_refused(tmp_path, count, name):
     good = (ROOT / "configs" / "scenarios" / f"{name}.toml").read_text(encoding="utf-8")
     survive(tmp_path / "scene.toml", good, max(count // len(SCENARIOS), 50), load_scenario)
+
+
+@pytest.mark.parametrize("text", ["!/" * 8000 + "=", "/a" * 8000 + "=", "x@" * 8000 + "?="])
+def test_a_login_is_looked_for_in_a_long_text_without_delay(text):
+    with soon(0.2):
+        hide_logins(text)

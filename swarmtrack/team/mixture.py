@@ -20,7 +20,7 @@ from swarmtrack.messages import Array, OwnFault
 from swarmtrack.team.evidence import Marginal, TeammatePrior
 from swarmtrack.team.matchings import match_all, worth_matching
 from swarmtrack.team.own_errors import ConfigFault, OwnErrors
-from swarmtrack.team.pasts import each_past_once, log_ratios, pasts_from_now
+from swarmtrack.team.pasts import any_or_none, each_past_once, log_ratios, pasts_from_now
 from swarmtrack.team.priors import (
     DOUBTING_PADS_RATIO,
     HEADING_LEAST_SIGMA_RAD,
@@ -148,7 +148,7 @@ class JointMixture:
         for track, b, e, none, r in zip(tracks, base, each, nobody, ratio, strict=True):
             whole = none + np.logaddexp(0.0, np.logaddexp.reduce(r, axis=1))
             track.learn(whole, used, len(self.errors))
-            alone = _with_anybody(b, e) - whole
+            alone = b + any_or_none(e) - whole
             track.weigh_segments(np.exp(np.minimum(alone[:, kept], 0.0)) @ self.weight[used[kept]])
         return P
 
@@ -353,8 +353,3 @@ class JointMixture:
         m = w @ np.array(mean)
         off = np.array(mean) - m
         return m, np.einsum("i,iab->ab", w, np.array(spread) + off[:, :, None] * off[:, None, :])
-
-
-def _with_anybody(base: Array, each: Array) -> Array:
-    """Log evidence (s, k) of each segment with all before it, whoever it is: base (s, k), and each (s, k, m)."""
-    return np.asarray(base + np.logaddexp(0.0, np.logaddexp.reduce(each, axis=2, initial=-np.inf)))

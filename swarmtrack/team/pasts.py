@@ -75,12 +75,17 @@ def pasts_from_now(waiting: Collection[int], pasts: Sequence[Past], each: Sequen
     return found
 
 
+def any_or_none(each: Array) -> Array:
+    """Log ratio (s, k) of each segment: any teammate, or none, to none. each (s, k, m)."""
+    return np.asarray(np.logaddexp(0.0, np.logaddexp.reduce(each, axis=2, initial=-np.inf)))
+
+
 def _anybody_but(column: int | NDArray[np.intp], each: Array) -> Array:
     """Log ratio (s, k) of each segment: any teammate but one, or none, to none. column: of the excluded one, or (k,) of
     them; each (s, k, m)."""
     left = each.copy()
     left[:, np.arange(each.shape[1]), column] = -np.inf
-    return np.asarray(np.logaddexp(0.0, np.logaddexp.reduce(left, axis=2, initial=-np.inf)))
+    return any_or_none(left)
 
 
 def each_past_once(

@@ -503,3 +503,13 @@ def test_sixteen_bits_of_a_thermal_camera_are_stretched() -> None:
     image[10:20, 10:20] = 8100
     seen = seen_as(memoryview(image.tobytes()), RawImage("Y16", 64, 48, 128))
     assert int(seen[15, 15]) - int(seen[40, 40]) > 200
+
+
+@needs_cc
+def test_a_stamp_that_is_old_but_believed_is_known_less_well(watch: Watch) -> None:
+    watch.script(formats="GREY", lead_us=300_000)
+    watch.start()
+    watch.frames(STAMPS_COMPARED)
+    frame = watch.frames(5)[-1]
+    assert frame["stamp"] != StampKind.ARRIVAL.value
+    assert frame["sigma"] > 0.02
