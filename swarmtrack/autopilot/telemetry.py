@@ -430,13 +430,16 @@ class Telemetry:
 
     def _on_euler_angles(self, t: float, m: Any) -> None:
         angles = m.roll, m.pitch, m.yaw
-        attitude = from_euler(*angles) if all(map(math.isfinite, angles)) else None
+        is_spare = t - self._quaternion_at <= QUATERNION_PREFERRED_S
+        attitude = from_euler(*angles) if not is_spare and all(map(math.isfinite, angles)) else None
         step, stamp = self._attitude_step(t, m, attitude)
-        if t - self._quaternion_at <= QUATERNION_PREFERRED_S:
+        if step not in NEW_STAMPS:
+            return
+        if is_spare:
             self.attitudes.pass_over("ATTITUDE: a better message is used")
-        elif step in NEW_STAMPS:
-            self._euler_at = t
-            self._take_attitude(t, stamp, attitude)
+            return
+        self._euler_at = t
+        self._take_attitude(t, stamp, attitude)
 
     def _on_odometry(self, t: float, m: Any) -> None:
         """Attitude and local position in one message: each is used where it does not come by a message of its own."""
@@ -445,12 +448,18 @@ class Telemetry:
         step, stamp = self.stamps.step(t, m, m.time_usec * 1e-6, MICROSECONDS_WRAP_S)
         attitude = _from_quaternion(m.q)
         if self._gps is None and attitude is not None and t - self._local_at > QUATERNION_PREFERRED_S:
+            self._throw_old(self.positions, step)
             position, velocity = np.array((m.x, m.y, m.z)), attitude @ (m.vx, m.vy, m.vz)
             self._take_local_place(t, step, StampedPlace(stamp, position, velocity))
-        if t - max(self._quaternion_at, self._euler_at) <= QUATERNION_PREFERRED_S:
+        is_spare = t - max(self._quaternion_at, self._euler_at) <= QUATERNION_PREFERRED_S
+        if not is_spare:
+            self._throw_old(self.attitudes, step)
+        if step not in NEW_STAMPS:
+            return
+        if is_spare:
             self.attitudes.pass_over("ODOMETRY: a better message is used")
-        elif step in NEW_STAMPS:
-            self._take_attitude(t, stamp, attitude)
+            return
+        self._take_attitude(t, stamp, attitude)
 
     def _attitude_step(self, t: float, m: Any, attitude: Array | None) -> tuple[StampStep | None, float]:
         """What its stamp is, see `AutopilotStamps.step`; its rates are taken."""
@@ -538,8 +547,8 @@ class Telemetry:
         """By which messages each thing came."""
         kinds = (
             (self.gyro, (self.imu_source.id,)),
-            (self.attitudes, (ATTITUDE_QUATERNION, ATTITUDE)),
-            (self.positions, (LOCAL_POSITION_NED, GLOBAL_POSITION_INT)),
+            (self.attitudes, (ATTITUDE_QUATERNION, ATTITUDE, ODOMETRY)),
+            (self.positions, (LOCAL_POSITION_NED, GLOBAL_POSITION_INT, ODOMETRY)),
         )
         for intake, message_ids in kinds:
             for message_id in message_ids:
