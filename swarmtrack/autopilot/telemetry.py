@@ -320,8 +320,10 @@ class Telemetry:
         """Whether this sensor is the first of those that HIGHRES_IMU or RAW_IMU comes from, by turns."""
         heard = self._sensors.setdefault(message_id, {})
         heard[number] = t
+        if number == 0:
+            return True
         lower = max((at for other, at in heard.items() if other < number), default=self._contact.known_at)
-        return number == 0 or t - lower >= IMU_PREFERRED_S
+        return t - lower >= IMU_PREFERRED_S
 
     def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
         """step: of the stamp, None: a copy."""
@@ -398,16 +400,20 @@ class Telemetry:
 
     def _on_local_position(self, t: float, m: Any) -> None:
         step, stamp = self._position_step(t, m)
-        self._local_at = t
         place = StampedPlace(stamp, np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz)))
-        self._take_local_place(t, step, place)
+        if self._take_local_place(t, step, place):
+            self._local_at = t
 
-    def _take_local_place(self, t: float, step: StampStep | None, place: StampedPlace) -> None:
+    def _take_local_place(self, t: float, step: StampStep | None, place: StampedPlace) -> bool:
+        """Whether it is new and possible."""
         numbers = (*place.position.tolist(), *place.velocity.tolist())
-        if all(abs(number) < DIVERGED_LOCAL_POSE for number in numbers):  # NaN compares as False
+        # NaN compares as False.
+        is_possible = all(abs(number) < DIVERGED_LOCAL_POSE for number in numbers)
+        if is_possible:
             self._take_place(t, step, place)
         elif step in NEW_STAMPS:
             self.positions.throw(IMPOSSIBLE)
+        return is_possible and step in NEW_STAMPS
 
     def _position_step(self, t: float, m: Any) -> tuple[StampStep | None, float]:
         step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)

@@ -692,8 +692,14 @@ class Odometry(FakeAutopilot):
         super().__init__(boot_at=boot_at)
         self._alone = alone
         self.stands_still = False
+        self.local_north: float | None = None
+        """m, in a LOCAL_POSITION_NED that comes as well."""
 
     def _report(self, message_id: int, stamp: float) -> Any:
+        if message_id == 32 and self.local_north is not None:
+            report = super()._report(message_id, stamp)
+            report.x = self.local_north
+            return report
         if message_id == ATTITUDE_QUATERNION:
             unknown = [random.random() if self.stands_still else math.nan] * 21
             stamp = 0.0 if self.stands_still else stamp
@@ -721,6 +727,16 @@ async def test_odometry_is_attitude_and_place_where_neither_comes_by_itself(alon
         )
         np.testing.assert_allclose(pose.position, autopilot.position, atol=1e-6)
         assert flight.unit.status().ok
+
+
+@pytest.mark.parametrize("north", [math.nan, 1e7])
+async def test_a_local_position_that_is_impossible_does_not_keep_odometry_s_out(north):
+    autopilot = Odometry(alone=True)
+    autopilot.local_north = north
+    async with Flight(autopilot) as flight:
+        autopilot.set_interval(ATTITUDE_QUATERNION, 20_000, flight.clock.now())
+        flight.fly(4.0)
+        np.testing.assert_allclose(flight.listener.poses[-1].position, autopilot.position, atol=1e-6)
 
 
 async def test_odometry_whose_clock_stands_still_is_said():
