@@ -52,7 +52,7 @@ from swarmtrack.autopilot.limits import (
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
-from swarmtrack.autopilot.links import Link, LinkDown, LoggedLink, TlogLink, UdpLink, Wire, open_link
+from swarmtrack.autopilot.links import Link, LinkDown, TlogLink, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.senders import flight_states_apart
@@ -199,8 +199,6 @@ class MavlinkAutopilot:
         self._greeted = False
         self._overheard, self._overheard_since = 0, -math.inf
         self._next_choice = -math.inf
-        # Of an autopilot's own log, numbers are those of our conversion.
-        self._is_numbered = self._link.address.scheme not in ("ulog", "bin")
         self._states_at: dict[int, float] = {}
         """When the newest of STATE_MESSAGES were sent."""
 
@@ -349,8 +347,10 @@ class MavlinkAutopilot:
         if contact.system is None:
             raise SourceError(self.status().text)
         unread = frozenset(common.mavlink_map) - self._readers.keys()
-        left_out = self._link.left_out if isinstance(self._link, LoggedLink) else ()
-        return list(self._account.lines(contact, self._framer, self._telemetry, unread, left_out=left_out))
+        sentences = self._account.lines(
+            contact, self._framer, self._telemetry, unread, left_out=self._link.left_out
+        )
+        return list(sentences)
 
     @property
     def trouble(self) -> str:
@@ -501,7 +501,7 @@ class MavlinkAutopilot:
         if frame.data[0] == V2:
             contact.version_2_at = t
         self._account.add(t, frame.id)
-        if self._is_numbered:
+        if self._link.numbered:
             self._telemetry.senders.on_frame(frame.sequence)
         reader = self._readers.get(frame.id)
         if reader is None:
