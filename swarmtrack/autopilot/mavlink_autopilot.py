@@ -160,8 +160,7 @@ class MavlinkAutopilot:
         self._contact = Contact(system_id)
         self._news = RepeatLimiter(self._now)
         self._flight = FlightWatch()
-        self._switch = switch
-        self._engagement = engagement
+        self._switch, self._engagement = switch, engagement
         name, recording, line = str(self._link.address), self._link.recording, self._link.bytes_per_second
         rates = _rates(by_gps=gps is not None, channels=self._reads_channels, mode=engagement is not None)
         self._requests = StreamRequests(imu_rate_hz, rates, line=line, signed=key is not None)

@@ -15,7 +15,7 @@ from swarmtrack.autopilot.contact import Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
-from swarmtrack.autopilot.intake import Intake
+from swarmtrack.autopilot.intake import FrameLoss, Intake
 from swarmtrack.autopilot.limits import (
     COPIES_SAID,
     DIVERGED_LOCAL_POSE,
@@ -85,7 +85,6 @@ IMPOSSIBLE, OTHER_CLOCK, STANDING_CLOCK = (
     "stamps that stand still",
 )
 SECOND_CLOCK = "late, or of a second clock"
-DAMAGED_FRAMES = "damaged on the way"
 STEPPED_BACK = "stamps before the last one, after the clock was corrected"
 # And why something is passed over.
 OTHER_SENSOR = "of another sensor than the first"
@@ -116,7 +115,6 @@ class Telemetry:
         self._requests = requests
         self._contact = contact
         self._news = news
-        self._framer = framer
         self._gps = gps
         self._recorded = link.recording
         self._send = send
@@ -144,9 +142,7 @@ class Telemetry:
         self.gyro = Intake("gyro samples")
         self.attitudes = Intake("attitudes")
         self.positions = Intake("positions")
-        self._frames = Intake("frames")
-        self._bytes_before = 0, 0
-        self._lost_before = 0
+        self._frame_loss = FrameLoss(framer, self.senders)
         self._poses_without_position = self._reboots = self._replaced = 0
 
         self.cadence = Cadence()
@@ -218,7 +214,7 @@ class Telemetry:
     @property
     def fault(self) -> str:
         """What is wrong with most of what came in the last window, in words; empty where most was used."""
-        return next((intake.fault for intake in (self._frames, *self.intakes) if intake.fault), "")
+        return next((intake.fault for intake in (self._frame_loss.intake, *self.intakes) if intake.fault), "")
 
     def has_no_place(self, now: float) -> bool:
         """Whether gyro samples come without a local position. A start by GPS says more, see `lack`."""
@@ -284,27 +280,13 @@ class Telemetry:
             self._news.warn("copies", text, self._name, self._who, copies, IMU_RATE_WINDOW_S)
         for intake in self.intakes:
             intake.judge()
-        self._judge_frames()
+        self._frame_loss.judge()
         shared = [
             clock
             for intake, clock in self._stamped()
             if clock.is_shared and intake.shares.get(SECOND_CLOCK, 0.0) >= SECOND_CLOCK_SHARE
         ]
         self.second_clock = shared[0].apart if shared else None
-
-    def _judge_frames(self) -> None:
-        """Damaged are bytes outside of frames where numbers are missing as well. Noise between frames costs none of
-        them, and what a router leaves out costs no bytes.
-        """
-        good, bad = self._framer.good_bytes, self._framer.bad_bytes
-        (good_before, bad_before), self._bytes_before = self._bytes_before, (good, bad)
-        came, lost = self.senders.came - self._frames.used, self.senders.lost - self._lost_before
-        self._lost_before = self.senders.lost
-        self._frames.used = self.senders.came
-        self._frames.throw(
-            DAMAGED_FRAMES, min(lost, round(came * (bad - bad_before) / max(1, good - good_before)))
-        )
-        self._frames.judge()
 
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
