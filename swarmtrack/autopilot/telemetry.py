@@ -15,6 +15,7 @@ from swarmtrack.autopilot.contact import Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
+from swarmtrack.autopilot.imu_choice import ImuChoice
 from swarmtrack.autopilot.intake import FrameLoss, Intake
 from swarmtrack.autopilot.limits import (
     COPIES_SAID,
@@ -23,7 +24,6 @@ from swarmtrack.autopilot.limits import (
     GROUND_FRESH_S,
     GROUND_LEAST_UPRIGHT_COSINE,
     IMU_FORGOTTEN_AFTER_S,
-    IMU_PREFERRED_S,
     IMU_RATE_WINDOW_S,
     IMU_STALE_AFTER_S,
     LOCAL_POSITION_AGE_S,
@@ -150,10 +150,7 @@ class Telemetry:
         self.imu_rate_hz = 0.0
         self.slow_gyro = False
         """Whether the gyro comes too seldom to be of use."""
-        self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
-        self._imu_rank: int | None = None
-        self._sensors: dict[int, dict[int, float]] = {}
-        """By message, when each number of a sensor was heard."""
+        self._imu = ImuChoice(requests, contact, recorded=link.recording, changed=self._imu_changed)
         self._imu_t = self._imu_since = self._window_start = -math.inf
         self._window_count = 0
 
@@ -188,7 +185,7 @@ class Telemetry:
     @property
     def imu_source(self) -> ImuMessage:
         """The message that the samples come from."""
-        return IMU_MESSAGES[self._imu_rank or 0]
+        return self._imu.source
 
     @property
     def gyro_delay(self) -> GyroDelay:
@@ -270,7 +267,7 @@ class Telemetry:
         self.slow_gyro = 0.0 < self.imu_rate_hz < enough and self._imu_since <= self._window_start
         self._window_start = now
         self._window_count = 0
-        if self._imu_rank is not None:
+        if self._imu.rank is not None:
             self._gyro_delays.log_delay(self.imu_source.id)
         copies, self._copies_before = self.stamps.copies - self._copies_before, self.stamps.copies
         if copies >= COPIES_SAID:
@@ -292,29 +289,20 @@ class Telemetry:
 
     def _on_imu(self, t: float, m: Any) -> None:
         source = IMU_MESSAGES[RANKS[m.get_msgId()]]
-        if source.numbered and not self._is_sensor(t, source.id, m.id):
+        if source.numbered and not self._imu.is_sensor(t, source.id, m.id):
             self.gyro.pass_over(OTHER_SENSOR)
             return
         step, stamp = self.stamps.step(t, m, source.stamp(m), source.wrap_s)
         self._take_rates(t, m, step, stamp)
 
-    def _is_sensor(self, t: float, message_id: int, number: int) -> bool:
-        """Whether this sensor is the first of those that HIGHRES_IMU or RAW_IMU comes from, by turns."""
-        heard = self._sensors.setdefault(message_id, {})
-        heard[number] = t
-        if number == 0:
-            return True
-        lower = max((at for other, at in heard.items() if other < number), default=self._contact.known_at)
-        return t - lower >= IMU_PREFERRED_S
-
     def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
         """step: of the stamp, None: a copy."""
         rank = RANKS[m.get_msgId()]
-        if step is None and rank == self._imu_rank and stamp == self.cadence.newest:
+        if step is None and rank == self._imu.rank and stamp == self.cadence.newest:
             self.cadence.observe(stamp)
         if step is None:
             return
-        if not self._is_source(t, rank, step):
+        if not self._imu.is_source(t, rank, step):
             if m.get_msgId() not in ATTITUDE_MESSAGES:
                 self.gyro.pass_over(f"{IMU_MESSAGES[rank].name}: a better message is used")
             return
@@ -347,25 +335,9 @@ class Telemetry:
         accel = accel if all(map(math.isfinite, accel.tolist())) else NOT_MEASURED
         self.listener.on_imu(ImuSample(ours, gyro, accel, delay))
 
-    def _is_source(self, t: float, rank: int, step: StampStep) -> bool:
-        """Whether this kind of message is the one to integrate: the best that is coming."""
-        if step is not StampStep.OTHER:
-            self._imu_seen[rank] = t
-        better = max(self._imu_seen[:rank], default=-math.inf)
-        asked = self._requests.imu is IMU_MESSAGES[rank]
-        # A better one may just have been asked for; or follow, in a log that begins with an attitude.
-        lesser = IMU_MESSAGES[rank].id in ATTITUDE_MESSAGES if self._recorded else rank > 0
-        waits = lesser and not asked
-        if t - better < IMU_PREFERRED_S or (waits and t - self._contact.known_at < IMU_PREFERRED_S):
-            return False
-        if step is StampStep.OTHER:
-            return rank == self._imu_rank
-        if rank != self._imu_rank:
-            if self._imu_rank is not None:
-                self._news.warn("imu source", "%s: IMU now from %s", self._name, IMU_MESSAGES[rank].name)
-            self._imu_rank = rank
-            self.cadence.reset()
-        return True
+    def _imu_changed(self) -> None:
+        self._news.warn("imu source", "%s: IMU now from %s", self._name, self.imu_source.name)
+        self.cadence.reset()
 
     # ── pose ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
