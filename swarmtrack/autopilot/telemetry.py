@@ -23,6 +23,7 @@ from swarmtrack.autopilot.limits import (
     FASTEST_GYRO_RAD_S,
     GROUND_FRESH_S,
     GROUND_LEAST_UPRIGHT_COSINE,
+    GYRO_RATE_SHARE,
     IMU_FORGOTTEN_AFTER_S,
     IMU_RATE_WINDOW_S,
     IMU_STALE_AFTER_S,
@@ -263,7 +264,7 @@ class Telemetry:
     def _judge(self, now: float) -> None:
         self.imu_rate_hz = self._window_count / (now - self._window_start)
         asked = math.inf if self._recorded else self._requests.imu_rate_hz
-        enough = 0.95 * min(SLOWEST_USEFUL_GYRO_HZ, asked)
+        enough = GYRO_RATE_SHARE * min(SLOWEST_USEFUL_GYRO_HZ, asked)
         self.slow_gyro = 0.0 < self.imu_rate_hz < enough and self._imu_since <= self._window_start
         self._window_start = now
         self._window_count = 0
