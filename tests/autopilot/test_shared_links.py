@@ -494,8 +494,7 @@ async def test_overheard_senders_cost_little_and_never_feed_data():
         for data in flood:
             flight.unit.overheard(flight.clock.now(), data)
         assert len(flight.listener.imu) == samples
-        assert flight.unit._overheard == 500
-        assert flight.text.count("/1 (quadrotor)") <= 20
+        assert 0 < flight.text.count("/1 (quadrotor)") <= 20
 
 
 @pytest.mark.parametrize("other", ["twin", "second way"])
