@@ -88,7 +88,7 @@ def hand_turned(
     wrong = doubts(found, compare(turns, gyro, found.camera_from_body), seconds=seconds, reach=0.3)
     return Minute(
         found,
-        float(np.linalg.norm(rotation.log(found.camera_from_body @ body_from_camera))),
+        float(rotation.angle(found.camera_from_body @ body_from_camera)),
         found.time_offset_s - offset,
         not wrong,
     )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.contact import Contact
 from swarmtrack.autopilot.framer import Framer
-from swarmtrack.autopilot.limits import SLOWEST_USEFUL_GYRO_HZ
+from swarmtrack.autopilot.global_position import NO_FIX_TOLD
+from swarmtrack.autopilot.limits import GYRO_RATE_SHARE, SLOWEST_USEFUL_GYRO_HZ
 from swarmtrack.autopilot.streams import (
     GLOBAL_POSITION_INT,
     GPS2_RAW,
@@ -37,28 +39,36 @@ class Arrivals:
         return (self.count - 1) / span if span > 0.0 else 0.0
 
 
-# How to come to an attitude, to a position and to a fix of GPS, by the kind of log.
-ATTITUDES_NEEDED = {
-    "tlog": "ATTITUDE_QUATERNION or ATTITUDE is needed",
-    "ulog": "the topic vehicle_attitude is needed (SDLOG_PROFILE)",
-    "bin": "ATT, XKQ or XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)",
-}
-POSITIONS_NEEDED = {
-    "tlog": "LOCAL_POSITION_NED is needed",
-    "ulog": "the topic vehicle_local_position with valid positions is needed (SDLOG_PROFILE)",
-    "bin": "POS or a valid XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)",
-}
-FIXES_NEEDED = {
-    "tlog": "GPS_RAW_INT or GPS2_RAW is needed (ArduPilot SRn_EXT_STAT)",
-    "ulog": "the topic vehicle_gps_position or sensor_gps is needed (SDLOG_PROFILE)",
-    "bin": "GPS is needed (LOG_BITMASK: GPS, bit 2)",
-}
-# How to come to a denser gyro, by the kind of log.
-DENSER_LOGS = {
-    "tlog": "import the autopilot's own log (--bin, --ulog), or let it send faster and record again (ArduPilot "
-    "SRn_RAW_SENS)",
-    "ulog": "fly again with a denser log (SDLOG_PROFILE: high rate)",
-    "bin": "fly again with the fast IMU in LOG_BITMASK (copters: bit 18)",
+class Advice(NamedTuple):
+    """How to come to a denser gyro, to an attitude, to a position and to a fix of GPS in the next log."""
+
+    gyro: str
+    attitude: str
+    position: str
+    fix: str
+
+
+# By the kind of log.
+ADVICE = {
+    "tlog": Advice(
+        gyro="import the autopilot's own log (--bin, --ulog), or let it send faster and record again (ArduPilot "
+        "SRn_RAW_SENS)",
+        attitude="ATTITUDE_QUATERNION or ATTITUDE is needed",
+        position="LOCAL_POSITION_NED is needed",
+        fix=NO_FIX_TOLD,
+    ),
+    "ulog": Advice(
+        gyro="fly again with a denser log (SDLOG_PROFILE: high rate)",
+        attitude="the topic vehicle_attitude is needed (SDLOG_PROFILE)",
+        position="the topic vehicle_local_position with valid positions is needed (SDLOG_PROFILE)",
+        fix="the topic vehicle_gps_position or sensor_gps is needed (SDLOG_PROFILE)",
+    ),
+    "bin": Advice(
+        gyro="fly again with the fast IMU in LOG_BITMASK (copters: bit 18)",
+        attitude="ATT, XKQ or XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)",
+        position="POS or a valid XKF1 is needed (LOG_BITMASK: attitude, bit 0 or 1)",
+        fix="GPS is needed (LOG_BITMASK: GPS, bit 2)",
+    ),
 }
 
 
@@ -66,7 +76,8 @@ class Account:
     """Counts the messages of our autopilot; all times are ours [s]. scheme: of the link's address."""
 
     def __init__(self, scheme: str) -> None:
-        self._scheme = scheme
+        # Of a live link, as of what a ground station records of it.
+        self._advice = ADVICE.get(scheme, ADVICE["tlog"])
         self._came: dict[int, Arrivals] = {}
 
     def add(self, t: float, message_id: int) -> None:
@@ -125,28 +136,26 @@ class Account:
         """What is missing, with the next step."""
         gyro, attitudes, positions = telemetry.intakes
         hz = self._gyro_hz(telemetry)
-        kind = self._scheme if self._scheme in DENSER_LOGS else "tlog"
-        denser = DENSER_LOGS[kind]
+        advice = self._advice
         if not gyro.used:
-            yield f"no gyro sample is usable, so tracks are lost in each turn: {denser}"
-        elif hz < 0.95 * SLOWEST_USEFUL_GYRO_HZ:
+            yield f"no gyro sample is usable, so tracks are lost in each turn: {advice.gyro}"
+        elif hz < GYRO_RATE_SHARE * SLOWEST_USEFUL_GYRO_HZ:
             yield (
                 f"the gyro is too slow, {_in_hz(hz)} and at least {SLOWEST_USEFUL_GYRO_HZ:g} Hz are needed, so tracks "
-                f"are lost in each turn: {denser}"
+                f"are lost in each turn: {advice.gyro}"
             )
         if not attitudes.used:
-            yield f"no attitude is usable, so no teammate is named: {ATTITUDES_NEEDED[kind]}"
+            yield f"no attitude is usable, so no teammate is named: {advice.attitude}"
         if not positions.used:
-            why = self._why_no_position(telemetry, now, kind)
+            why = self._why_no_position(telemetry, now)
             yield f"no position is usable, so the drone's place is unknown: {why}"
 
-    def _why_no_position(self, telemetry: Telemetry, now: float, kind: str) -> str:
-        """kind: of log."""
+    def _why_no_position(self, telemetry: Telemetry, now: float) -> str:
         if lack := telemetry.lack(now):
-            return lack if {GPS_RAW_INT, GPS2_RAW} & self._came.keys() else FIXES_NEEDED[kind]
+            return lack if {GPS_RAW_INT, GPS2_RAW} & self._came.keys() else self._advice.fix
         if GLOBAL_POSITION_INT in self._came and LOCAL_POSITION_NED not in self._came:
             return 'the log has GLOBAL_POSITION_INT only, which drone.start = { from = "gps" } and a team.origin use'
-        return POSITIONS_NEEDED[kind]
+        return self._advice.position
 
 
 def _in_words(came: dict[int, Arrivals]) -> str:

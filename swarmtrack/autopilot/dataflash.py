@@ -112,8 +112,9 @@ def _flight(path: Path) -> LoggedFlight:
     if name in RAW_GYROS and raw:
         parameters["INS_GYRO_FILTER"] = 0.0
     gps = _receiver_in_use(log.messages.get("GPS"))
-    said = _said(log.messages, gyro, gps, parameters)
-    return LoggedFlight(frames(said, system), _utc_offset(gps), system, _left_out(log.messages))
+    positions, left_out = _positions(log.messages)
+    said = _said(log.messages, gyro, gps, parameters, positions)
+    return LoggedFlight(frames(said, system), _utc_offset(gps), system, left_out)
 
 
 # --- the file -------------------------------------------------------------------------------------
@@ -219,7 +220,11 @@ def _date_events(messages: dict[str, dict[str, Array]], offsets: dict[str, array
 
 
 def _said(
-    messages: dict[str, dict[str, Array]], gyro: Columns, gps: Columns | None, parameters: dict[str, float]
+    messages: dict[str, dict[str, Array]],
+    gyro: Columns,
+    gps: Columns | None,
+    parameters: dict[str, float],
+    positions: Said,
 ) -> Said:
     times = [t for (t,) in rows(gyro)]
     begin, end = min(times), max(times)
@@ -233,7 +238,7 @@ def _said(
         )
     yield from (imu(t, values[:3], values[3:]) for t, *values in rows(gyro, *GYRO, *ACCEL))
     yield from _attitudes(messages, begin)
-    yield from _positions(messages)
+    yield from positions
     yield from _fixes(gps, messages.get("GPA"))
 
 
@@ -353,19 +358,19 @@ def _attitudes(messages: dict[str, dict[str, Array]], begin: float) -> Said:
             return
 
 
-def _positions(messages: dict[str, dict[str, Array]]) -> Said:
-    """Of the estimator that flies; else of the first core, which needs no GPS; else of the backup."""
+def _positions(messages: dict[str, dict[str, Array]]) -> tuple[Said, tuple[str, ...]]:
+    """Of the estimator that flies; else of the first core, which needs no GPS; else of the backup. And those that are
+    not used, in words.
+    """
     origin = _origin(messages.get("ORGN"))
     if places := _places(messages.get("POS")):
-        yield from _global_positions(places, origin)
-    elif states := _states(messages)[0]:
-        for t, *row in states:
-            position, velocity = row[:3], row[3:]
-            yield local_position(t, position, velocity)
-            if origin is not None and np.isfinite(row).all():
-                yield global_position(t, from_ned(np.array(position), origin), velocity)
-    else:
-        yield from _global_positions(_places(messages.get(BACKUP)), origin)
+        return _global_positions(places, origin), ()
+    states, unknown = _states(messages)
+    why = "not known by the estimator's own word, XKF4.SS: take off once it has GPS, optical flow or vision"
+    left_out = (f"{unknown} positions ({why})",) if unknown else ()
+    if states:
+        return _local_positions(states, origin), left_out
+    return _global_positions(_places(messages.get(BACKUP)), origin), left_out
 
 
 def _places(columns: Columns | None) -> list[tuple[float, Geodetic]]:
@@ -393,6 +398,15 @@ def _global_positions(places: list[tuple[float, Geodetic]], origin: Geodetic | N
         yield global_position(t, place, velocity)
 
 
+def _local_positions(states: list[list[float]], origin: Geodetic | None) -> Said:
+    """Local, see `_states`, and where the estimator's origin is logged global."""
+    for t, *row in states:
+        position, velocity = row[:3], row[3:]
+        yield local_position(t, position, velocity)
+        if origin is not None and np.isfinite(row).all():
+            yield global_position(t, from_ned(np.array(position), origin), velocity)
+
+
 def _states(messages: dict[str, dict[str, Array]]) -> tuple[list[list[float]], int]:
     """time [s], position [m] and velocity [m/s] in NED from the estimator's origin, while it holds them for known; and
     how many it does not.
@@ -412,13 +426,6 @@ def _known(states: Columns, statuses: Columns | None) -> Array:
     after = np.searchsorted(statuses["timestamp"], states["timestamp"])
     flags = statuses["SS"].astype(int)[np.minimum(after, len(statuses["SS"]) - 1)]
     return np.asarray((flags & LEVEL_KNOWN != 0) & (flags & HEIGHT_KNOWN != 0))
-
-
-def _left_out(messages: dict[str, dict[str, Array]]) -> tuple[str, ...]:
-    """Positions that are not used, in words."""
-    unknown = 0 if _places(messages.get("POS")) else _states(messages)[1]
-    why = "not known by the estimator's own word, XKF4.SS: take off once it has GPS, optical flow or vision"
-    return (f"{unknown} positions ({why})",) if unknown else ()
 
 
 def _is_place(latitude: float, longitude: float, height: float) -> bool:

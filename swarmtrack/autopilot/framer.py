@@ -165,20 +165,24 @@ class Framer:
             if _crc(bytes(buffer[start + 1 : end]) + extra) != buffer[end] | buffer[end + 1] << 8:
                 self.crc_failures += 1
                 continue
-            self._settle(start, confirmed=start == self._explained)
             position = start + total
-            self._counted = self._explained = position
-            self.good += 1
-            self.good_bytes += total
-            data = bytes(buffer[start:position])
-            sequence, system, component = data[4:7] if version_2 else data[2:5]
-            frames.append(MavlinkFrame(message_id, system, component, sequence, signed, data))
+            frames.append(self._accept(start, position, message_id, signed))
         else:
             position = size
             if final or self._explained < size:
                 self._settle(size, confirmed=self._explained == size)
         self._cut(position)
         return frames
+
+    def _accept(self, start: int, end: int, message_id: int, signed: bool) -> MavlinkFrame:
+        """Count the frame that stands between these offsets into the buffer, and what is in front of it."""
+        self._settle(start, confirmed=start == self._explained)
+        self._counted = self._explained = end
+        self.good += 1
+        self.good_bytes += end - start
+        data = bytes(self._buffer[start:end])
+        sequence, system, component = data[4:7] if data[0] == V2 else data[2:5]
+        return MavlinkFrame(message_id, system, component, sequence, signed, data)
 
     def _settle(self, end: int, confirmed: bool) -> None:
         """Count the bytes up to `end`: unknown frames where their claimed ends were confirmed, garbage otherwise."""

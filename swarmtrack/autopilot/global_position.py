@@ -32,9 +32,7 @@ from swarmtrack.messages import Array
 
 FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
 UNKNOWN_SATELLITES = 255  # satellites
-NO_FIX_TOLD = (
-    "no GPS_RAW_INT comes, so the fix is unknown: let the autopilot send it (ArduPilot SRn_EXT_STAT)"
-)
+NO_FIX_TOLD = "GPS_RAW_INT or GPS2_RAW is needed (ArduPilot SRn_EXT_STAT)"
 
 
 class _Fix(NamedTuple):

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from collections import Counter
 
+from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.limits import IMU_RATE_WINDOW_S, INTAKE_LEAST
+from swarmtrack.autopilot.senders import SenderWatch
+
+# Why a frame is thrown away.
+DAMAGED_FRAMES = "damaged on the way"
 
 
 class Intake:
@@ -55,3 +60,27 @@ class Intake:
 
     def _in_words(self, counts: Counter[str]) -> str:
         return ", ".join(f"{n} {self.noun} ({why})" for why, n in counts.most_common())
+
+
+class FrameLoss:
+    """Judges how many frames are damaged: bytes outside of frames where numbers are missing as well. Noise between
+    frames costs none of them, and what a router leaves out costs no bytes.
+    """
+
+    def __init__(self, framer: Framer, senders: SenderWatch) -> None:
+        self.intake = Intake("frames")
+        self._framer = framer
+        self._senders = senders
+        self._bytes_before = 0, 0
+        self._lost_before = 0
+
+    def judge(self) -> None:
+        """A window has ended."""
+        good, bad = self._framer.good_bytes, self._framer.bad_bytes
+        (good_before, bad_before), self._bytes_before = self._bytes_before, (good, bad)
+        came, lost = self._senders.came - self.intake.used, self._senders.lost - self._lost_before
+        self._lost_before = self._senders.lost
+        self.intake.used = self._senders.came
+        damaged = round(came * (bad - bad_before) / max(1, good - good_before))
+        self.intake.throw(DAMAGED_FRAMES, min(lost, damaged))
+        self.intake.judge()

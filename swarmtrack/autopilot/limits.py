@@ -246,6 +246,8 @@ CANDIDATE_GONE_S = 3.0
 INTAKE_LEAST = 4
 # Below, a turn within a sample moves tracks by more than their own size.
 SLOWEST_USEFUL_GYRO_HZ = 50.0
+# Of it, or of a lower rate that is asked for: what comes slower is too slow.
+GYRO_RATE_SHARE = 0.95
 # Without an attitude for so long beside a gyro, there is none.
 POSE_MISSED_S = 3.0
 # An attitude as a quaternion must be silent so long before Euler angles are used.

@@ -80,7 +80,7 @@ class Link(Protocol):
     datagrams: `received` gets them one by one; recording: time comes from the file, sending goes nowhere;
     bytes_per_second: capacity of the line, None where it hardly matters; remark: the last fault that did not end the
     connection, or empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the
-    start.
+    start; numbered: its frames have the autopilot's own sequence numbers; left_out: what of a log is not used, in words.
     """
 
     address: LinkAddress
@@ -89,6 +89,8 @@ class Link(Protocol):
     bytes_per_second: float | None
     remark: str
     foreign: int
+    numbered: bool
+    left_out: tuple[str, ...]
 
     async def run(self, receiver: Receiver) -> None: ...
 
@@ -131,6 +133,8 @@ class NoLink:
     bytes_per_second: float | None = None
     remark = ""
     foreign = 0
+    numbered = True
+    left_out: tuple[str, ...] = ()
 
     def __init__(self, address: LinkAddress) -> None:
         self.address = address
@@ -155,6 +159,8 @@ class LiveLink:
     recording = False
     bytes_per_second: float | None = None
     foreign = 0
+    numbered = True
+    left_out: tuple[str, ...] = ()
 
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
         self.address = address
@@ -423,6 +429,8 @@ class RecordingLink(ABC):
     bytes_per_second: float | None = None
     remark = ""
     foreign = 0
+    numbered = True
+    left_out: tuple[str, ...] = ()
 
     def __init__(self, address: LinkAddress, clock: Clock) -> None:
         if not os.path.isfile(address.path):
@@ -511,9 +519,10 @@ class TlogLink(RecordingLink):
 
 
 class LoggedLink(RecordingLink):
-    """An autopilot's own log, as the telemetry it would have sent meanwhile. left_out: of it, in words."""
+    """An autopilot's own log, as the telemetry it would have sent meanwhile."""
 
-    left_out: tuple[str, ...] = ()
+    # The numbers are those of our conversion.
+    numbered = False
 
     async def run(self, receiver: Receiver) -> None:
         flight = read_log(self.address.scheme, Path(self.address.path))

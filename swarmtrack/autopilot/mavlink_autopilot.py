@@ -48,11 +48,10 @@ from swarmtrack.autopilot.limits import (
     OVERHEARD_HZ,
     PILOT_SWITCH_HZ,
     RECORDS_PER_TURN,
-    STATE_ORDER_S,
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
-from swarmtrack.autopilot.links import Link, LinkDown, LoggedLink, TlogLink, UdpLink, Wire, open_link
+from swarmtrack.autopilot.links import Link, LinkDown, TlogLink, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.senders import flight_states_apart
@@ -70,8 +69,6 @@ log = logging.getLogger(__name__)
 HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
 # MAVLink 2 and 1: length, flags, sequence, sender and message.
 HEARTBEAT_HEADER = re.compile(rb"\xfd\x09[\x00\x01]\x00...\x00\x00\x00|\xfe\x09...\x00", re.DOTALL)
-# Messages whose newest one alone is true.
-STATE_MESSAGES = frozenset({HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
 # When somebody was heard whose part of a log is still to be played.
 NOT_YET = -math.inf
 
@@ -163,8 +160,7 @@ class MavlinkAutopilot:
         self._contact = Contact(system_id)
         self._news = RepeatLimiter(self._now)
         self._flight = FlightWatch()
-        self._switch = switch
-        self._engagement = engagement
+        self._switch, self._engagement = switch, engagement
         name, recording, line = str(self._link.address), self._link.recording, self._link.bytes_per_second
         rates = _rates(by_gps=gps is not None, channels=self._reads_channels, mode=engagement is not None)
         self._requests = StreamRequests(imu_rate_hz, rates, line=line, signed=key is not None)
@@ -193,16 +189,11 @@ class MavlinkAutopilot:
         self._parameters: ParameterReader | None = None
         self._account = Account(self._link.address.scheme)
         self._early: deque[_EarlyFrame] = deque(maxlen=EARLY_FRAMES_KEPT)
-        self._next_heartbeat = self._next_tick = -math.inf
+        self._next_heartbeat = self._next_tick = self._next_choice = -math.inf
         self._met_at = math.inf
         """When our autopilot was chosen."""
         self._greeted = False
         self._overheard, self._overheard_since = 0, -math.inf
-        self._next_choice = -math.inf
-        # Of an autopilot's own log, numbers are those of our conversion.
-        self._is_numbered = self._link.address.scheme not in ("ulog", "bin")
-        self._states_at: dict[int, float] = {}
-        """When the newest of STATE_MESSAGES were sent."""
 
     @property
     def _reads_channels(self) -> bool:
@@ -349,8 +340,10 @@ class MavlinkAutopilot:
         if contact.system is None:
             raise SourceError(self.status().text)
         unread = frozenset(common.mavlink_map) - self._readers.keys()
-        left_out = self._link.left_out if isinstance(self._link, LoggedLink) else ()
-        return list(self._account.lines(contact, self._framer, self._telemetry, unread, left_out=left_out))
+        sentences = self._account.lines(
+            contact, self._framer, self._telemetry, unread, left_out=self._link.left_out
+        )
+        return list(sentences)
 
     @property
     def trouble(self) -> str:
@@ -501,7 +494,7 @@ class MavlinkAutopilot:
         if frame.data[0] == V2:
             contact.version_2_at = t
         self._account.add(t, frame.id)
-        if self._is_numbered:
+        if self._link.numbered:
             self._telemetry.senders.on_frame(frame.sequence)
         reader = self._readers.get(frame.id)
         if reader is None:
@@ -509,25 +502,13 @@ class MavlinkAutopilot:
             return not self._codec.has_key
         if message is None:
             return False
-        if frame.id not in self._telemetry.stamped and self._is_late(t, frame.id, message):
+        if frame.id not in self._telemetry.stamped and self._telemetry.stamps.is_late(t, message):
             return False
         contact.heard_at = t
         contact.signature_trouble = ""
         self._requests.arrived(frame.id)
         reader(t, message)
         return True
-
-    def _is_late(self, t: float, message_id: int, message: Any) -> bool:
-        """Whether a message without a stamp is a copy, or tells of a state before the one that is known."""
-        telemetry = self._telemetry
-        if telemetry.stamps.is_copy(t, message):
-            return True
-        if message_id in STATE_MESSAGES:
-            sent = t - telemetry.senders.delay
-            if sent < self._states_at.get(message_id, -math.inf) - STATE_ORDER_S:
-                return True
-            self._states_at[message_id] = sent
-        return False
 
     def _decode(self, frame: MavlinkFrame) -> Any | None:
         message = self._codec.decode(frame)

@@ -32,6 +32,7 @@ from swarmtrack.autopilot.limits import (
     SENDERS_PLACE_GAP_S,
     SEQUENCE_LOSS,
 )
+from swarmtrack.geometry import rotation
 from swarmtrack.messages import Array
 
 Value = TypeVar("Value")
@@ -171,8 +172,7 @@ def places_apart(earlier: StampedPlace, later: StampedPlace) -> str:
 
 def attitudes_apart(earlier: StampedAttitude, later: StampedAttitude) -> str:
     """See `SenderWatch.compare`."""
-    cosine = 0.5 * (float(np.trace(earlier.attitude.T @ later.attitude)) - 1.0)
-    apart = math.acos(min(max(cosine, -1.0), 1.0))
+    apart = float(rotation.angle(earlier.attitude.T @ later.attitude))
     elapsed = abs(later.stamp - earlier.stamp)
     turned = elapsed * (earlier.rate + later.rate)
     is_apart = elapsed < SENDERS_ATTITUDE_GAP_S and apart > SENDERS_APART_RAD + turned

@@ -6,10 +6,23 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from pymavlink.dialects.v20 import common
+
 from swarmtrack.autopilot.boot_clock import BootClock, CopyMemory, StampStep
 from swarmtrack.autopilot.framer import HEADER_V1, HEADER_V2, V2
-from swarmtrack.autopilot.limits import COPIES_EXPECTED_S, LATEST_WAY_S, REBOOT_SLACK_S, SHORTEST_REBOOT_S
+from swarmtrack.autopilot.limits import (
+    COPIES_EXPECTED_S,
+    LATEST_WAY_S,
+    REBOOT_SLACK_S,
+    SHORTEST_REBOOT_S,
+    STATE_ORDER_S,
+)
+from swarmtrack.autopilot.pilot_switch import RC_CHANNELS
 from swarmtrack.autopilot.senders import NumberedStamps, SenderWatch, clocks_apart
+from swarmtrack.mavlink_dialect import CURRENT_MODE
+
+# Messages whose newest one alone is true.
+STATE_MESSAGES = frozenset({common.MAVLINK_MSG_ID_HEARTBEAT, CURRENT_MODE, RC_CHANNELS})
 
 
 class AutopilotStamps:
@@ -40,6 +53,8 @@ class AutopilotStamps:
         """When the last copy came, and the last clock was believed that began again."""
         self._read: tuple[float, float] | None = None
         """When a stamp was read last, and the stamp."""
+        self._states_at: dict[int, float] = {}
+        """When the newest of STATE_MESSAGES were sent."""
 
     def step(self, t: float, message: Any, raw: float, wrap_s: float) -> tuple[StampStep | None, float]:
         """What the stamp `raw` [s] is to its kind of message, None: a copy's; and the stamp without wraps."""
@@ -102,7 +117,19 @@ class AutopilotStamps:
         is_young = 0.0 < raw <= silence + REBOOT_SLACK_S
         return silence >= SHORTEST_REBOOT_S < behind and is_young and not is_wrap
 
-    def is_copy(self, t: float, message: Any) -> bool:
+    def is_late(self, t: float, message: Any) -> bool:
+        """Whether a message without a stamp is a copy, or tells of a state before the one that is known."""
+        if self._is_copy(t, message):
+            return True
+        message_id = message.get_msgId()
+        if message_id in STATE_MESSAGES:
+            sent = t - self._senders.delay
+            if sent < self._states_at.get(message_id, -math.inf) - STATE_ORDER_S:
+                return True
+            self._states_at[message_id] = sent
+        return False
+
+    def _is_copy(self, t: float, message: Any) -> bool:
         """Whether a message without a stamp is a copy: only while others come twice, for its content may recur."""
         content = bytes((message.get_seq(),)) + _content(message)
         came = self._memory.has(t, message.get_msgId(), content)

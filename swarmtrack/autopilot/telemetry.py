@@ -15,15 +15,16 @@ from swarmtrack.autopilot.contact import Contact, RepeatLimiter
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
-from swarmtrack.autopilot.intake import Intake
+from swarmtrack.autopilot.imu_choice import ImuChoice
+from swarmtrack.autopilot.intake import FrameLoss, Intake
 from swarmtrack.autopilot.limits import (
     COPIES_SAID,
     DIVERGED_LOCAL_POSE,
     FASTEST_GYRO_RAD_S,
     GROUND_FRESH_S,
     GROUND_LEAST_UPRIGHT_COSINE,
+    GYRO_RATE_SHARE,
     IMU_FORGOTTEN_AFTER_S,
-    IMU_PREFERRED_S,
     IMU_RATE_WINDOW_S,
     IMU_STALE_AFTER_S,
     LOCAL_POSITION_AGE_S,
@@ -85,7 +86,6 @@ IMPOSSIBLE, OTHER_CLOCK, STANDING_CLOCK = (
     "stamps that stand still",
 )
 SECOND_CLOCK = "late, or of a second clock"
-DAMAGED_FRAMES = "damaged on the way"
 STEPPED_BACK = "stamps before the last one, after the clock was corrected"
 # And why something is passed over.
 OTHER_SENSOR = "of another sensor than the first"
@@ -116,7 +116,6 @@ class Telemetry:
         self._requests = requests
         self._contact = contact
         self._news = news
-        self._framer = framer
         self._gps = gps
         self._recorded = link.recording
         self._send = send
@@ -144,9 +143,7 @@ class Telemetry:
         self.gyro = Intake("gyro samples")
         self.attitudes = Intake("attitudes")
         self.positions = Intake("positions")
-        self._frames = Intake("frames")
-        self._bytes_before = 0, 0
-        self._lost_before = 0
+        self._frame_loss = FrameLoss(framer, self.senders)
         self._poses_without_position = self._reboots = self._replaced = 0
 
         self.cadence = Cadence()
@@ -154,10 +151,7 @@ class Telemetry:
         self.imu_rate_hz = 0.0
         self.slow_gyro = False
         """Whether the gyro comes too seldom to be of use."""
-        self._imu_seen = [-math.inf] * len(IMU_MESSAGES)
-        self._imu_rank: int | None = None
-        self._sensors: dict[int, dict[int, float]] = {}
-        """By message, when each number of a sensor was heard."""
+        self._imu = ImuChoice(requests, contact, recorded=link.recording, changed=self._imu_changed)
         self._imu_t = self._imu_since = self._window_start = -math.inf
         self._window_count = 0
 
@@ -192,7 +186,7 @@ class Telemetry:
     @property
     def imu_source(self) -> ImuMessage:
         """The message that the samples come from."""
-        return IMU_MESSAGES[self._imu_rank or 0]
+        return self._imu.source
 
     @property
     def gyro_delay(self) -> GyroDelay:
@@ -218,7 +212,7 @@ class Telemetry:
     @property
     def fault(self) -> str:
         """What is wrong with most of what came in the last window, in words; empty where most was used."""
-        return next((intake.fault for intake in (self._frames, *self.intakes) if intake.fault), "")
+        return next((intake.fault for intake in (self._frame_loss.intake, *self.intakes) if intake.fault), "")
 
     def has_no_place(self, now: float) -> bool:
         """Whether gyro samples come without a local position. A start by GPS says more, see `lack`."""
@@ -270,11 +264,11 @@ class Telemetry:
     def _judge(self, now: float) -> None:
         self.imu_rate_hz = self._window_count / (now - self._window_start)
         asked = math.inf if self._recorded else self._requests.imu_rate_hz
-        enough = 0.95 * min(SLOWEST_USEFUL_GYRO_HZ, asked)
+        enough = GYRO_RATE_SHARE * min(SLOWEST_USEFUL_GYRO_HZ, asked)
         self.slow_gyro = 0.0 < self.imu_rate_hz < enough and self._imu_since <= self._window_start
         self._window_start = now
         self._window_count = 0
-        if self._imu_rank is not None:
+        if self._imu.rank is not None:
             self._gyro_delays.log_delay(self.imu_source.id)
         copies, self._copies_before = self.stamps.copies - self._copies_before, self.stamps.copies
         if copies >= COPIES_SAID:
@@ -284,7 +278,7 @@ class Telemetry:
             self._news.warn("copies", text, self._name, self._who, copies, IMU_RATE_WINDOW_S)
         for intake in self.intakes:
             intake.judge()
-        self._judge_frames()
+        self._frame_loss.judge()
         shared = [
             clock
             for intake, clock in self._stamped()
@@ -292,45 +286,24 @@ class Telemetry:
         ]
         self.second_clock = shared[0].apart if shared else None
 
-    def _judge_frames(self) -> None:
-        """Damaged are bytes outside of frames where numbers are missing as well. Noise between frames costs none of
-        them, and what a router leaves out costs no bytes.
-        """
-        good, bad = self._framer.good_bytes, self._framer.bad_bytes
-        (good_before, bad_before), self._bytes_before = self._bytes_before, (good, bad)
-        came, lost = self.senders.came - self._frames.used, self.senders.lost - self._lost_before
-        self._lost_before = self.senders.lost
-        self._frames.used = self.senders.came
-        self._frames.throw(
-            DAMAGED_FRAMES, min(lost, round(came * (bad - bad_before) / max(1, good - good_before)))
-        )
-        self._frames.judge()
-
     # ── gyro ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
     def _on_imu(self, t: float, m: Any) -> None:
         source = IMU_MESSAGES[RANKS[m.get_msgId()]]
-        if source.numbered and not self._is_sensor(t, source.id, m.id):
+        if source.numbered and not self._imu.is_sensor(t, source.id, m.id):
             self.gyro.pass_over(OTHER_SENSOR)
             return
         step, stamp = self.stamps.step(t, m, source.stamp(m), source.wrap_s)
         self._take_rates(t, m, step, stamp)
 
-    def _is_sensor(self, t: float, message_id: int, number: int) -> bool:
-        """Whether this sensor is the first of those that HIGHRES_IMU or RAW_IMU comes from, by turns."""
-        heard = self._sensors.setdefault(message_id, {})
-        heard[number] = t
-        lower = max((at for other, at in heard.items() if other < number), default=self._contact.known_at)
-        return number == 0 or t - lower >= IMU_PREFERRED_S
-
     def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
         """step: of the stamp, None: a copy."""
         rank = RANKS[m.get_msgId()]
-        if step is None and rank == self._imu_rank and stamp == self.cadence.newest:
+        if step is None and rank == self._imu.rank and stamp == self.cadence.newest:
             self.cadence.observe(stamp)
         if step is None:
             return
-        if not self._is_source(t, rank, step):
+        if not self._imu.is_source(t, rank, step):
             if m.get_msgId() not in ATTITUDE_MESSAGES:
                 self.gyro.pass_over(f"{IMU_MESSAGES[rank].name}: a better message is used")
             return
@@ -363,25 +336,9 @@ class Telemetry:
         accel = accel if all(map(math.isfinite, accel.tolist())) else NOT_MEASURED
         self.listener.on_imu(ImuSample(ours, gyro, accel, delay))
 
-    def _is_source(self, t: float, rank: int, step: StampStep) -> bool:
-        """Whether this kind of message is the one to integrate: the best that is coming."""
-        if step is not StampStep.OTHER:
-            self._imu_seen[rank] = t
-        better = max(self._imu_seen[:rank], default=-math.inf)
-        asked = self._requests.imu is IMU_MESSAGES[rank]
-        # A better one may just have been asked for; or follow, in a log that begins with an attitude.
-        lesser = IMU_MESSAGES[rank].id in ATTITUDE_MESSAGES if self._recorded else rank > 0
-        waits = lesser and not asked
-        if t - better < IMU_PREFERRED_S or (waits and t - self._contact.known_at < IMU_PREFERRED_S):
-            return False
-        if step is StampStep.OTHER:
-            return rank == self._imu_rank
-        if rank != self._imu_rank:
-            if self._imu_rank is not None:
-                self._news.warn("imu source", "%s: IMU now from %s", self._name, IMU_MESSAGES[rank].name)
-            self._imu_rank = rank
-            self.cadence.reset()
-        return True
+    def _imu_changed(self) -> None:
+        self._news.warn("imu source", "%s: IMU now from %s", self._name, self.imu_source.name)
+        self.cadence.reset()
 
     # ── pose ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -398,16 +355,20 @@ class Telemetry:
 
     def _on_local_position(self, t: float, m: Any) -> None:
         step, stamp = self._position_step(t, m)
-        self._local_at = t
         place = StampedPlace(stamp, np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz)))
-        self._take_local_place(t, step, place)
+        if self._take_local_place(t, step, place):
+            self._local_at = t
 
-    def _take_local_place(self, t: float, step: StampStep | None, place: StampedPlace) -> None:
+    def _take_local_place(self, t: float, step: StampStep | None, place: StampedPlace) -> bool:
+        """Whether it is new and possible."""
         numbers = (*place.position.tolist(), *place.velocity.tolist())
-        if all(abs(number) < DIVERGED_LOCAL_POSE for number in numbers):  # NaN compares as False
+        # NaN compares as False.
+        is_possible = all(abs(number) < DIVERGED_LOCAL_POSE for number in numbers)
+        if is_possible:
             self._take_place(t, step, place)
         elif step in NEW_STAMPS:
             self.positions.throw(IMPOSSIBLE)
+        return is_possible and step in NEW_STAMPS
 
     def _position_step(self, t: float, m: Any) -> tuple[StampStep | None, float]:
         step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
@@ -430,13 +391,16 @@ class Telemetry:
 
     def _on_euler_angles(self, t: float, m: Any) -> None:
         angles = m.roll, m.pitch, m.yaw
-        attitude = from_euler(*angles) if all(map(math.isfinite, angles)) else None
+        is_spare = t - self._quaternion_at <= QUATERNION_PREFERRED_S
+        attitude = from_euler(*angles) if not is_spare and all(map(math.isfinite, angles)) else None
         step, stamp = self._attitude_step(t, m, attitude)
-        if t - self._quaternion_at <= QUATERNION_PREFERRED_S:
+        if step not in NEW_STAMPS:
+            return
+        if is_spare:
             self.attitudes.pass_over("ATTITUDE: a better message is used")
-        elif step in NEW_STAMPS:
-            self._euler_at = t
-            self._take_attitude(t, stamp, attitude)
+            return
+        self._euler_at = t
+        self._take_attitude(t, stamp, attitude)
 
     def _on_odometry(self, t: float, m: Any) -> None:
         """Attitude and local position in one message: each is used where it does not come by a message of its own."""
@@ -445,12 +409,18 @@ class Telemetry:
         step, stamp = self.stamps.step(t, m, m.time_usec * 1e-6, MICROSECONDS_WRAP_S)
         attitude = _from_quaternion(m.q)
         if self._gps is None and attitude is not None and t - self._local_at > QUATERNION_PREFERRED_S:
+            self._throw_old(self.positions, step)
             position, velocity = np.array((m.x, m.y, m.z)), attitude @ (m.vx, m.vy, m.vz)
             self._take_local_place(t, step, StampedPlace(stamp, position, velocity))
-        if t - max(self._quaternion_at, self._euler_at) <= QUATERNION_PREFERRED_S:
+        is_spare = t - max(self._quaternion_at, self._euler_at) <= QUATERNION_PREFERRED_S
+        if not is_spare:
+            self._throw_old(self.attitudes, step)
+        if step not in NEW_STAMPS:
+            return
+        if is_spare:
             self.attitudes.pass_over("ODOMETRY: a better message is used")
-        elif step in NEW_STAMPS:
-            self._take_attitude(t, stamp, attitude)
+            return
+        self._take_attitude(t, stamp, attitude)
 
     def _attitude_step(self, t: float, m: Any, attitude: Array | None) -> tuple[StampStep | None, float]:
         """What its stamp is, see `AutopilotStamps.step`; its rates are taken."""
@@ -538,8 +508,8 @@ class Telemetry:
         """By which messages each thing came."""
         kinds = (
             (self.gyro, (self.imu_source.id,)),
-            (self.attitudes, (ATTITUDE_QUATERNION, ATTITUDE)),
-            (self.positions, (LOCAL_POSITION_NED, GLOBAL_POSITION_INT)),
+            (self.attitudes, (ATTITUDE_QUATERNION, ATTITUDE, ODOMETRY)),
+            (self.positions, (LOCAL_POSITION_NED, GLOBAL_POSITION_INT, ODOMETRY)),
         )
         for intake, message_ids in kinds:
             for message_id in message_ids:

@@ -162,12 +162,16 @@ def _main_base(
     found: dict[TimeBase, list[tuple[float, float]]] = defaultdict(list)
     for (base, own), stamp in stamped:
         found[base].append((own, stamp))
-    rank = lambda base: (base.component == common.MAV_COMP_ID_AUTOPILOT1, len(found[base]))  # noqa: E731
-    best = max(found, key=rank, default=None)
+    best = max(found, key=lambda base: _rank(base, len(found[base])), default=None)
     return best, [] if best is None else found[best]
 
 
-def _by_frames(pieces: Iterable[bytes], base: TimeBase | None, t: float) -> Iterator[tuple[float, bytes]]:
+def _rank(base: TimeBase, number: int) -> tuple[bool, int]:
+    """The best time base has the largest: an autopilot's, and of several the busiest. number: of its frames."""
+    return base.component == common.MAV_COMP_ID_AUTOPILOT1, number
+
+
+def _by_frames(pieces: Iterable[bytes], base: TimeBase, t: float) -> Iterator[tuple[float, bytes]]:
     """(time, frame), by this time base from t [s] on; what stands between frames is lost."""
     framer, last = Framer(), None
     for piece in pieces:
@@ -204,10 +208,11 @@ def _by_stamps(
                 record.t = record.stamp + shift
                 on_step(record.t - first.t, step)
                 steps += 1
-                if steps == TLOG_MOST_STEPS:
+                # Where no frame near it is stamped, a later one may be.
+                is_looked_for = steps % TLOG_MOST_STEPS == 0
+                if is_looked_for and (base := _base_of((*past, record, *ahead))) is not None:
                     on_useless()
                     rest = (each.data for each in itertools.chain((record, *ahead), found))
-                    base, _ = _main_base((own, 0.0) for each in past for own in each.own_times)
                     yield from _by_frames(rest, base, record.t)
                     return
         if last is not None:
@@ -215,6 +220,11 @@ def _by_stamps(
         last = record
         past.append(record)
         yield record.t, record.data
+
+
+def _base_of(around: Iterable[LoggedBytes]) -> TimeBase | None:
+    """By which the frames of these records tell the time; None where none does."""
+    return _main_base((own, 0.0) for each in around for own in each.own_times)[0]
 
 
 def _next(ahead: deque[LoggedBytes], found: Iterator[LoggedBytes]) -> LoggedBytes | None:
@@ -249,13 +259,7 @@ def _step(past: deque[LoggedBytes], after: Iterable[LoggedBytes], shift: float) 
     # By one clock that went on meanwhile, an autopilot's rather than that of another program on the same computer.
     bases = [base for base in before.keys() & since.keys() if since[base].first >= before[base].last]
     if bases:
-        base = max(
-            bases,
-            key=lambda base: (
-                base.component == common.MAV_COMP_ID_AUTOPILOT1,
-                min(before[base].number, since[base].number),
-            ),
-        )
+        base = max(bases, key=lambda base: _rank(base, min(before[base].number, since[base].number)))
         step = since[base].least - before[base].least
         # A burst after a pause makes some delays longer, and none shorter.
         return step if step < -CLOCK_RESYNC_S or step > TLOG_PAUSE_S else 0.0

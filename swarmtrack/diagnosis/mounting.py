@@ -121,7 +121,7 @@ def check_motion(facts: MotionFacts, mounted: MountedCamera | None) -> list[Find
     findings = []
     if found := facts.found:
         off_deg = math.degrees(
-            float(np.linalg.norm(rotation.log(found.camera_from_body @ mounted.body_from_camera.rotation)))
+            float(rotation.angle(found.camera_from_body @ mounted.body_from_camera.rotation))
         )
         sure_deg = math.degrees(float(found.rotation_sigma.max()))
         if sure_deg < SURE_ROTATION_DEG and off_deg > max(ROTATION_OFF_DEG, 3.0 * sure_deg):

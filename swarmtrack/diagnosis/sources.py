@@ -16,6 +16,7 @@ from swarmtrack.autopilot.address import parse_address
 from swarmtrack.autopilot.limits import SLOWEST_USEFUL_GYRO_HZ
 from swarmtrack.diagnosis.findings import Finding, fault, ok, skipped
 from swarmtrack.errors import SourceError
+from swarmtrack.geometry import rotation
 from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.messages import Array, LinkStatus, StampKind
 
@@ -304,8 +305,7 @@ def _bias(facts: ImuFacts) -> list[Finding]:
     span = float(facts.attitude_t[-1] - facts.attitude_t[0])
     if span < 1.0:
         return []
-    turned = facts.attitudes[0].T @ facts.attitudes[-1]
-    angle = math.acos(min(max((float(np.trace(turned)) - 1.0) / 2.0, -1.0), 1.0))
+    angle = float(rotation.angle(facts.attitudes[0].T @ facts.attitudes[-1]))
     steady = float(facts.gyro.std(axis=0).max()) < BIASED
     rate = float(np.linalg.norm(facts.gyro.mean(axis=0)))
     if steady and angle / span < STILL_TURN and rate > BIASED:

@@ -64,6 +64,11 @@ def log(R: ArrayLike) -> Array:
     return phi
 
 
+def angle(R: ArrayLike) -> Array:
+    """The angle [rad] by which R turns, 0…pi. R (…, 3, 3) -> (…)."""
+    return np.asarray(np.linalg.norm(log(R), axis=-1))
+
+
 def from_quaternion(q: ArrayLike) -> Array:
     """The matrix of a quaternion (w, x, y, z), normalised first. q (…, 4) -> (…, 3, 3)."""
     q = np.asarray(q, dtype=float)

@@ -243,6 +243,17 @@ def test_what_a_radio_had_held_back_at_the_beginning_is_no_useless_stamp():
     assert told == []
 
 
+@pytest.mark.parametrize("steps", [100, 110])
+def test_of_a_clock_that_leaps_before_any_frame_is_stamped_time_goes_on(steps):
+    beat = bytes(common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(common.MAVLink(None, 1, 1)))
+    leaping = [(0.1 * k - 10.0 * (k // 5), beat) for k in range(5 * steps + 1)]
+    stamped = flight(30.0)
+    found, told = played(tlog(leaping + [(leaping[-1][0] + t, frame) for t, frame in stamped]))
+    assert len(told) >= 100
+    times = [t for t, _ in found[len(leaping) :]]
+    assert [t - times[0] for t in times] == pytest.approx([t - stamped[0][0] for t, _ in stamped], abs=0.1)
+
+
 async def test_of_a_clock_that_leaps_all_the_time_the_first_steps_are_said_and_the_autopilot_tells(
     tmp_path, caplog
 ):

@@ -28,6 +28,14 @@ def test_log_undoes_exp_from_nothing_to_half_a_turn(length):
 
 
 @given(vectors)
+def test_the_angle_is_that_of_scipy_for_one_and_for_many(phi):
+    R = rotation.exp(np.stack((phi, 0.0 * phi)))
+    expected = Rotation.from_matrix(R).magnitude()
+    assert np.allclose(rotation.angle(R), expected, atol=1e-12)
+    assert rotation.angle(R[0]) == pytest.approx(expected[0], abs=1e-12)
+
+
+@given(vectors)
 def test_log_at_half_a_turn_is_one_of_the_two_answers(v):
     if np.linalg.norm(v) < 1e-3:
         return

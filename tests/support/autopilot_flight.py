@@ -54,6 +54,8 @@ class SimulatedLink:
     recording = False
     remark = ""
     foreign = 0
+    numbered = True
+    left_out = ()
 
     def __init__(self, bytes_per_second: float | None = None) -> None:
         self.address = LinkAddress("udpin", host="localhost", port=1)
