@@ -80,7 +80,7 @@ class Link(Protocol):
     datagrams: `received` gets them one by one; recording: time comes from the file, sending goes nowhere;
     bytes_per_second: capacity of the line, None where it hardly matters; remark: the last fault that did not end the
     connection, or empty; foreign: datagrams from other addresses than the autopilot's that were not read, since the
-    start; numbered: its frames have the autopilot's own sequence numbers; left_out: what of a log is not used, in words.
+    start; numbered: its frames have the autopilot's own sequence numbers; left_out: what of a log is not used.
     """
 
     address: LinkAddress

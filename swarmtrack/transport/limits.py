@@ -74,8 +74,8 @@ ROUND_TRIP_MEAN_WEIGHT: Final = 8
 PACKETS_LATE_S: Final = 0.25
 # And this share of the shortest round trip: a long way varies more.
 PACKETS_LATE_SHARE: Final = 0.5
-# Where every answer takes so much longer than the shortest, half of the time, packets queue. Losses alone do not slow the
-# quickest of several links so much.
+# Where every answer takes so much longer than the shortest, half of the time, packets queue. Losses alone do not slow
+# the quickest of several links so much.
 PACKETS_QUEUED_S: Final = 0.1
 # That TCP could not send yet: a quarter of a second of 64 kbit/s.
 PACKETS_UNSENT_BYTES: Final = 2048
