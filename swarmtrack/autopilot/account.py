@@ -10,7 +10,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.contact import Contact
 from swarmtrack.autopilot.framer import Framer
-from swarmtrack.autopilot.global_position import NO_FIX_TOLD
+from swarmtrack.autopilot.global_position import FIX_NEEDED
 from swarmtrack.autopilot.limits import GYRO_RATE_SHARE, SLOWEST_USEFUL_GYRO_HZ
 from swarmtrack.autopilot.streams import (
     GLOBAL_POSITION_INT,
@@ -55,7 +55,7 @@ ADVICE = {
         "SRn_RAW_SENS)",
         attitude="ATTITUDE_QUATERNION or ATTITUDE is needed",
         position="LOCAL_POSITION_NED is needed",
-        fix=NO_FIX_TOLD,
+        fix=FIX_NEEDED,
     ),
     "ulog": Advice(
         gyro="fly again with a denser log (SDLOG_PROFILE: high rate)",

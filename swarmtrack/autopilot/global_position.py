@@ -32,7 +32,7 @@ from swarmtrack.messages import Array
 
 FIX_3D: int = common.GPS_FIX_TYPE_3D_FIX
 UNKNOWN_SATELLITES = 255  # satellites
-NO_FIX_TOLD = "GPS_RAW_INT or GPS2_RAW is needed (ArduPilot SRn_EXT_STAT)"
+FIX_NEEDED = "GPS_RAW_INT or GPS2_RAW is needed (ArduPilot SRn_EXT_STAT)"
 
 
 class _Fix(NamedTuple):
@@ -64,7 +64,7 @@ class GlobalPosition:
         """Why there is no position, in a few words; empty while there is one."""
         heard = [fix for _, fix in sorted(self._fixes.items()) if now - fix.t <= GPS_FIX_AGE_S]
         if not heard:
-            return NO_FIX_TOLD
+            return f"no GPS_RAW_INT comes, so the fix is unknown: {FIX_NEEDED}"
         # Of the first receiver, where none is good.
         if all(fix.lack for fix in heard):
             return heard[0].lack

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 from collections.abc import AsyncIterator
 from itertools import pairwise
 
@@ -187,6 +188,7 @@ async def test_parts_that_are_no_pictures_are_a_state_of_their_own(
 async def test_what_comes_between_pictures_is_not_counted_as_damage(
     server: StreamServer, caplog: pytest.LogCaptureFixture
 ) -> None:
+    caplog.set_level(logging.INFO, "swarmtrack")
     text = part(b"hello").replace(b"image/jpeg", b"text/plain")
     server.script = repeating(text + part(jpeg(50)) + part(b""))
     camera = open_camera(server.url, clock=SystemClock())
