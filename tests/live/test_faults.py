@@ -118,9 +118,10 @@ class OneFlight:
         if self._team is None:
             return
         self._team.emulator.heal()
-        self._team.emulator.impair(loss=0.0, latency_s=0.0, jitter_s=0.0)
+        self._team.emulator.impair(loss=0.0, latency_s=0.0, jitter_s=0.0, repeated=0.0, disordered=False)
         self._team.emulator.narrow(None)
         self._team.emulator.limit_frames(None)
+        self._team.emulator.block_udp(blocked=False)
 
     async def land(self) -> None:
         self._team = None
@@ -190,12 +191,28 @@ async def readdress(team: Team, drone: int) -> None:
     """Its radio's address is replaced by another of the same network."""
     old = team.emulator.radio_address(drone)
     new = f"{old.rpartition('.')[0]}.{200 + drone}"
-    for words in (
-        f"addr del {old}/16 dev radio0",
-        f"addr add {new}/16 brd + dev radio0",
-    ):
-        changing = await asyncio.create_subprocess_exec(*team.emulator.wrap(drone, ["ip", *words.split()]))
-        await changing.wait()
+    await ip(team, drone, f"addr del {old}/16 dev radio0")
+    await ip(team, drone, f"addr add {new}/16 brd + dev radio0")
+
+
+async def ip(team: Team, drone: int, words: str) -> None:
+    """Run ip(8) on the drone."""
+    changing = await asyncio.create_subprocess_exec(*team.emulator.wrap(drone, ["ip", *words.split()]))
+    assert await changing.wait() == 0
+
+
+def departures(team: Team, drone: int, since: float) -> list[float]:
+    """When the drone's agent reported that another is gone."""
+    return team.agents[drone].times(r"is gone", since)
+
+
+def assert_names_held(team: Team, since: float, least: float = 0.85) -> None:
+    """Nobody was given a wrong name, and most looks had all the right ones. least: share of looks."""
+    now = time.monotonic()
+    right = team.looks_between(team.drones, since, now, Look.is_right)
+    report("everybody in view rightly named", 100.0 * sum(right) / len(right), "% of what was published")
+    assert sum(right) > least * len(right)
+    assert team.wrong(team.drones, since=since, until=now) == 0
 
 
 # --- one after another, in one flight
@@ -247,6 +264,88 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(team: Team,
             f"this machine is too busy: on a cable without faults an agent was silent for {silence:.1f} s"
         )
     assert departures == []
+
+
+async def test_a_drone_that_hears_and_is_not_heard_is_missed_once_and_keeps_its_name(team: Team) -> None:
+    agents, mute = team.agents, time.monotonic()
+    team.emulator.deafen((2, 3), (1,))
+    missed = [await agents[drone].until(r"drone 1 is gone", mute) for drone in (2, 3)]
+    report("it was missed after", max(missed) - mute)
+    missing = [await agents[1].until(rf"drone {drone} is gone", mute) for drone in (2, 3)]
+    report("it missed the others after", max(missing) - mute)
+    await asyncio.sleep(max(0.0, mute + 8.0 - time.monotonic()))
+    for drone in team.drones:
+        report(f"departures that drone {drone} reported", len(departures(team, drone, mute)), "")
+        assert agents[drone].times("two agents use drone.id", mute) == []
+        assert len(departures(team, drone, mute)) <= 4  # no flapping: each of the two twice at most
+    assert agents[2].times(r"drone 3 is gone", mute) == []
+    healed = time.monotonic()
+    team.emulator.heal()
+    named = await team.until_known(team.drones, since=healed)
+    report("everybody named again, after healing", named - healed)
+    assert_names_held(team, mute)
+
+
+async def test_two_that_do_not_hear_each_other_go_on_with_the_third(team: Team) -> None:
+    agents, parted = team.agents, time.monotonic()
+    team.emulator.deafen((1,), (2,))
+    team.emulator.deafen((2,), (1,))
+    missed = [await agents[a].until(f"drone {b} is gone", parted) for a, b in ((1, 2), (2, 1))]
+    report("they missed each other after", max(missed) - parted)
+    await asyncio.sleep(max(0.0, parted + 6.0 - time.monotonic()))
+    assert departures(team, 3, parted) == []
+    assert [agents[drone].times(r"drone 3 is gone", parted) for drone in (1, 2)] == [[], []]
+    healed = time.monotonic()
+    team.emulator.heal()
+    met = [await agents[a].until(f"drone {b} announced itself", healed) for a, b in ((1, 2), (2, 1))]
+    report("announcements known again, after healing", max(met) - healed)
+    assert_names_held(team, parted)
+
+
+@pytest.mark.parametrize("fault", ["repeated and disordered frames", "no UDP"])
+async def test_a_radio_that_carries_all_that_is_needed_parts_nobody(team: Team, fault: str) -> None:
+    began = time.monotonic()
+    if fault == "no UDP":
+        team.emulator.block_udp()
+    else:
+        team.emulator.impair(latency_s=0.02, jitter_s=0.02, repeated=0.3, disordered=True)
+    await asyncio.sleep(8.0)  # four leases
+    gone = [t - began for drone in team.drones for t in departures(team, drone, began)]
+    assert_names_held(team, began)
+    silence = team.longest_silence(began, time.monotonic())
+    if gone and silence > STANDSTILL_S:
+        pytest.skip(
+            f"this machine is too busy: on a cable without faults an agent was silent for {silence:.1f} s"
+        )
+    assert gone == []
+
+
+async def test_a_radio_that_was_switched_off_is_met_again(team: Team) -> None:
+    agents, down = team.agents, time.monotonic()
+    await ip(team, 2, "link set dev radio0 down")
+    await asyncio.gather(*(agents[drone].until(r"drone 2 is gone", down) for drone in (1, 3)))
+    await asyncio.sleep(max(0.0, down + 6.0 - time.monotonic()))
+    up = time.monotonic()
+    await ip(team, 2, "link set dev radio0 up")
+    met = [await agents[drone].until(r"drone 2 announced itself", up) for drone in (1, 3)]
+    met += [await agents[2].until(rf"drone {drone} announced itself", up) for drone in (1, 3)]
+    report("announcements known again, after it was switched on", max(met) - up)
+    assert_names_held(team, down)
+
+
+async def test_an_agent_that_stood_still_is_met_and_named_again(team: Team) -> None:
+    agents, frozen = team.agents, time.monotonic()
+    agents[2].process.send_signal(signal.SIGSTOP)
+    gone = [await agents[drone].until(r"drone 2 is gone", frozen) for drone in (1, 3)]
+    report("it was missed after", max(gone) - frozen)
+    await asyncio.sleep(max(0.0, frozen + 6.0 - time.monotonic()))
+    goes_on = time.monotonic()
+    agents[2].process.send_signal(signal.SIGCONT)
+    met = [await agents[drone].until(r"drone 2 announced itself", goes_on) for drone in (1, 3)]
+    report("its announcement known again", max(met) - goes_on)
+    named = await team.until_known(team.drones, since=max(met))
+    report("everybody named again, also by it", named - goes_on)
+    assert team.wrong(team.drones, since=frozen, until=named) == 0
 
 
 class Listened(NamedTuple):

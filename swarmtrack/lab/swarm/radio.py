@@ -64,8 +64,8 @@ class RadioCounters:
 class RadioEmulator:
     """Use with `async with`. Needs root, or the root that `unshare -Urn` makes; else RadioError.
 
-    loss, latency_s and jitter_s hold for every link; `impair` sets those of some drones. Delays are uniform in
-    latency ± jitter and keep the order of one link.
+    Faults hold for every link; `impair` sets those of some drones. Delays are uniform in latency ± jitter and keep the
+    order of one link unless it is `disordered`.
     """
 
     def __init__(self, drones: Sequence[int], *, seed: int) -> None:
@@ -135,24 +135,33 @@ class RadioEmulator:
         loss: float | None = None,
         latency_s: float | None = None,
         jitter_s: float | None = None,
+        repeated: float | None = None,
+        disordered: bool | None = None,
     ) -> None:
         """Set what is given for every link to and from these drones, or for all.
 
-        loss: probability that a frame is lost on its way to one receiver.
+        loss, repeated: probability that a frame is lost on its way to one receiver, or arrives there twice;
+        disordered: frames of one link overtake each other within the jitter.
         """
-        if loss is not None and not 0.0 <= loss <= 1.0:
-            raise ValueError(f"loss: found {loss:g}, expected 0 to 1")
+        for name, share in (("loss", loss), ("repeated", repeated)):
+            if share is not None and not 0.0 <= share <= 1.0:
+                raise ValueError(f"{name}: found {share:g}, expected 0 to 1")
         for name, seconds in (("latency_s", latency_s), ("jitter_s", jitter_s)):
             if seconds is not None and not 0.0 <= seconds <= 60.0:
                 raise ValueError(f"{name}: found {seconds:g}, expected 0 to 60 s")
         ports = {self._ports[drone] for drone in (self._ports if drones is None else drones)}
+        channel = self._channel
+        columns = (
+            (channel.loss, loss),
+            (channel.latency_s, latency_s),
+            (channel.jitter_s, jitter_s),
+            (channel.repeated, repeated),
+            (channel.disordered, disordered),
+        )
         for pair in self._pairs(lambda a, b: a in ports or b in ports):
-            if loss is not None:
-                self._channel.loss[pair] = loss
-            if latency_s is not None:
-                self._channel.latency_s[pair] = latency_s
-            if jitter_s is not None:
-                self._channel.jitter_s[pair] = jitter_s
+            for column, value in columns:
+                if value is not None:
+                    column[pair] = value
 
     def narrow(self, kbit_s: float | None, drones: Collection[int] | None = None) -> None:
         """So much goes through each radio of these drones, or of all; None: as much as you like."""
@@ -168,10 +177,22 @@ class RadioEmulator:
         for drone in self._ports if drones is None else drones:
             self._channel.longest_frame[self._ports[drone]] = 0.0 if longest is None else longest
 
+    def block_udp(self, drones: Collection[int] | None = None, *, blocked: bool = True) -> None:
+        """The radios of these drones, or of all, swallow UDP, as a firewall does."""
+        for drone in self._ports if drones is None else drones:
+            self._channel.udp_blocked[self._ports[drone]] = float(blocked)
+
     def cut(self, side: Iterable[int]) -> None:
         """These drones and the others no longer hear each other; several cuts add up."""
         ports = {self._ports[drone] for drone in side}
         for pair in self._pairs(lambda a, b: (a in ports) != (b in ports)):
+            self._channel.blocked[pair] = 1.0
+
+    def deafen(self, listeners: Iterable[int], speakers: Iterable[int]) -> None:
+        """These listeners no longer hear these speakers, who go on hearing them; adds to what is cut."""
+        deaf = {self._ports[drone] for drone in listeners}
+        unheard = {self._ports[drone] for drone in speakers}
+        for pair in self._pairs(lambda a, b: a in unheard and b in deaf):
             self._channel.blocked[pair] = 1.0
 
     def silence(self, drone: int) -> None:
@@ -179,7 +200,7 @@ class RadioEmulator:
         self.cut({drone})
 
     def heal(self) -> None:
-        """Undo every cut."""
+        """Undo every cut, also those in one direction."""
         for pair in self._pairs(lambda a, b: True):
             self._channel.blocked[pair] = 0.0
 

@@ -9,7 +9,8 @@ launcher.
 A frame is on the air once and heard by each receiver or not: that is decided for each ordered pair of drones by a
 generator of its own, so the pattern of losses between two drones does not depend on what others send. There is no
 retransmission as in 802.11: a loss here is one that remains after it. Delay is uniform in latency ± jitter, and the
-frames of one ordered pair stay in order, as one radio's do; those of different pairs overtake each other.
+frames of one ordered pair stay in order, as one radio's do; those of different pairs overtake each other. On demand
+those of one pair do as well, and some arrive twice, as over several hops.
 
 A radio may be narrow: what it sends then leaves one frame after the other, at so many bits per second. A few seconds'
 worth waits in the radio, as in real ones, and what finds no room there is lost.
@@ -37,14 +38,19 @@ RADIO_FRAMES_PER_TURN: Final = 32  # frames of one radio before the others get t
 MAX_WAITING_FRAMES: Final = 8192  # delayed frames: 12 MB, a second of 100 Mbit/s; the channel holds no more
 BUFFER: Final = 16384  # bytes that wait in a narrow radio: two seconds at 64 kbit/s
 COUNT_BYTES: Final = 8  # bytes of a double, exact for counts up to 2^53
+PAIR_COLUMNS, PORT_ROWS = 6, 7  # of `RadioChannel`
+# In an Ethernet frame that holds an IPv4 packet without options: both protocols' numbers, and where they are.
+IPV4_TYPE, IPV4_TYPE_AT = b"\x08\x00", slice(12, 14)
+UDP_PROTOCOL, PROTOCOL_AT = 17, 23
 
 
 class RadioChannel:
     """What the radio channel does to frames, of each ordered pair of ports, and what it carried, of each port.
 
     A page of doubles in memory that two processes share; pairs are indexed `source * ports + receiver`. `blocked` is
-    0 for a pair that can hear each other; `bits_per_s` is 0 for a radio that is as fast as you like, and
-    `longest_frame` 0 for one that carries frames of any length.
+    0 for a receiver that can hear the source; `repeated` is the probability that a frame arrives twice, and
+    `disordered` 0 where frames stay in order. `bits_per_s` is 0 for a radio that is as fast as you like,
+    `longest_frame` 0 for one that carries frames of any length, and `udp_blocked` 0 for one that carries UDP.
     """
 
     def __init__(self, fd: int, ports: int) -> None:
@@ -52,17 +58,17 @@ class RadioChannel:
         self.ports = ports
         self._memory = mmap.mmap(fd, self.size(ports))
         numbers = memoryview(self._memory).cast("d")
-        columns = [numbers[i * pairs : (i + 1) * pairs] for i in range(4)]
-        self.loss, self.latency_s, self.jitter_s, self.blocked = columns
-        counts = numbers[4 * pairs :]
-        rows = [counts[i * ports : (i + 1) * ports] for i in range(6)]
+        columns = [numbers[i * pairs : (i + 1) * pairs] for i in range(PAIR_COLUMNS)]
+        self.loss, self.latency_s, self.jitter_s, self.blocked, self.repeated, self.disordered = columns
+        counts = numbers[PAIR_COLUMNS * pairs :]
+        rows = [counts[i * ports : (i + 1) * ports] for i in range(PORT_ROWS)]
         self.sent_frames, self.sent_bytes, self.lost_frames, self.blocked_frames, *rest = rows
-        self.bits_per_s, self.longest_frame = rest
+        self.bits_per_s, self.longest_frame, self.udp_blocked = rest
 
     @staticmethod
     def size(ports: int) -> int:
         """Bytes."""
-        return COUNT_BYTES * (4 * ports * ports + 6 * ports)
+        return COUNT_BYTES * (PAIR_COLUMNS * ports * ports + PORT_ROWS * ports)
 
 
 class Delivery(NamedTuple):
@@ -102,10 +108,18 @@ class Switch:
                 return []
             receivers = [port]
         sent = self._sent(source, frame, now)
-        if sent is None or 0 < channel.longest_frame[source] < len(frame):
+        is_swallowed = (channel.udp_blocked[source] and is_udp(frame)) or (
+            0 < channel.longest_frame[source] < len(frame)
+        )
+        if sent is None or is_swallowed:
             channel.lost_frames[source] += 1
             return []
-        return [port for port in receivers if self._arrives_at_once(source, port, frame, now, sent)]
+        copies = [port for port in receivers for _ in range(self._copies(source, port))]
+        return [port for port in copies if self._arrives_at_once(source, port, frame, now, sent)]
+
+    def _copies(self, source: int, port: int) -> int:
+        pair = source * self._channel.ports + port
+        return 1 + (random.random() < self._channel.repeated[pair])
 
     def _sent(self, source: int, frame: bytes, now: float) -> float | None:
         """When the radio has sent a frame; None where it has no room for it."""
@@ -128,9 +142,11 @@ class Switch:
         if loss and self._chance[pair].random() < loss:
             channel.lost_frames[source] += 1
             return False
-        due = max(self._last_due[pair], sent + latency)
+        due = sent + latency
         if jitter:
-            due = max(self._last_due[pair], sent + latency + jitter * random.uniform(-1.0, 1.0))
+            due += jitter * random.uniform(-1.0, 1.0)
+        if not channel.disordered[pair]:
+            due = max(self._last_due[pair], due)
         if due <= now:
             return True
         self._delay(pair, Delivery(due, next(self._serial), port, frame), source)
@@ -140,7 +156,7 @@ class Switch:
         if len(self._waiting) >= MAX_WAITING_FRAMES:
             self._channel.lost_frames[source] += 1
             return
-        self._last_due[pair] = delivery.due
+        self._last_due[pair] = max(self._last_due[pair], delivery.due)
         heapq.heappush(self._waiting, delivery)
 
     def deliver(self, now: float) -> list[Delivery]:
@@ -153,6 +169,11 @@ class Switch:
     @property
     def next_due(self) -> float | None:
         return self._waiting[0].due if self._waiting else None
+
+
+def is_udp(frame: bytes) -> bool:
+    """Whether an Ethernet frame holds UDP over IPv4."""
+    return frame[IPV4_TYPE_AT] == IPV4_TYPE and frame[PROTOCOL_AT : PROTOCOL_AT + 1] == bytes([UDP_PROTOCOL])
 
 
 def run(switch: Switch, taps: Sequence[int], lifeline: int) -> None:

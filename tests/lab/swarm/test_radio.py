@@ -7,6 +7,7 @@ datagrams, `python test_air.py ping ADDRESS COUNT WAIT` counts the answers.
 from __future__ import annotations
 
 import asyncio
+import itertools
 import os
 import signal
 import socket
@@ -85,6 +86,35 @@ def test_who_is_cut_off_is_not_heard_and_counted_apart_from_loss():
     assert switch.send(0, frame_to(EVERYBODY), 0.0) == [2]
     assert switch.send(1, frame_to(mac_address(1)), 0.0) == [0]
     assert (channel.blocked_frames[0], channel.lost_frames[0]) == (1, 0)
+
+
+def test_frames_that_are_repeated_and_disordered_arrive_twice_and_overtake_each_other():
+    channel, switch = switch_of(2)
+    channel.latency_s[1], channel.jitter_s[1] = 0.05, 0.03
+    channel.repeated[1], channel.disordered[1] = 0.3, 1.0
+    sent = [frame_to(mac_address(2)) + number.to_bytes(2, "big") for number in range(1000)]
+    for number, frame in enumerate(sent):
+        assert switch.send(0, frame, 0.001 * number) == []
+    heard = [delivery.frame for delivery in switch.deliver(2.0)]
+    assert set(heard) == set(sent)
+    assert abs(len(heard) - 1300) < 4 * 15  # four standard deviations of a binomial
+    first = [heard.index(frame) for frame in sent]
+    assert sum(a > b for a, b in itertools.pairwise(first)) > 100
+
+
+def test_a_radio_without_udp_carries_all_else():
+    channel, switch = switch_of(2)
+    channel.udp_blocked[0] = 1.0
+    ipv4, arp = b"\x08\x00", b"\x08\x06"
+
+    def packet(kind: bytes, protocol: int) -> bytes:
+        return (mac_address(2) + mac_address(1) + kind).ljust(23, b"\0") + bytes([protocol])
+
+    assert switch.send(0, packet(ipv4, 17), 0.0) == []
+    assert switch.send(0, packet(ipv4, 6), 0.0) == [1]
+    assert switch.send(0, packet(arp, 17), 0.0) == [1]
+    assert channel.lost_frames[0] == 1
+    assert switch.send(1, (mac_address(1) + packet(ipv4, 17)[6:]), 0.0) == [0]  # only that radio
 
 
 def test_jitter_delays_each_frame_within_its_bounds_and_keeps_the_order_of_a_link():
