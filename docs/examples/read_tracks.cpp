@@ -101,6 +101,14 @@ struct Place {
     double distance() const { return std::hypot(position[0], position[1], position[2]); }
 };
 
+// An entry of an upper triangle: a number of an array, or a big-endian integer of 16 bits.
+double entry_of(const Value& upper, std::size_t k) {
+    if (upper.kind != Value::Bytes) return upper[k].as_number();
+    if (upper.text.size() < 2 * k + 2) throw std::runtime_error("a covariance is cut off");
+    const auto high = static_cast<std::uint8_t>(upper.text[2 * k]), low = static_cast<std::uint8_t>(upper.text[2 * k + 1]);
+    return static_cast<std::int16_t>(high << 8 | low);
+}
+
 Place place_of(const Value& relative) {
     Place place{};
     for (int i = 0; i < 3; ++i) {
@@ -110,7 +118,16 @@ Place place_of(const Value& relative) {
     double variance = 0.0, cov[6][6];
     // The covariance of (position, velocity), (6, 6), comes as its upper triangle, row by row.
     for (int row = 0, k = 0; row < 6; ++row)
-        for (int column = row; column < 6; ++column, ++k) cov[row][column] = cov[column][row] = relative[3][k].as_number();
+        for (int column = row; column < 6; ++column, ++k) cov[row][column] = entry_of(relative[3], k);
+    if (relative[3].kind == Value::Bytes) {  // the short form: logarithms of standard deviations, and correlations
+        double sigma[6];
+        for (int i = 0; i < 6; ++i) sigma[i] = cov[i][i] == -32768.0 ? 0.0 : std::exp(cov[i][i] / 1024.0);
+        for (int row = 0; row < 6; ++row)
+            for (int column = row; column < 6; ++column)
+                cov[row][column] = sigma[row] * sigma[column] * (row == column ? 1.0 : cov[row][column] / 32767.0);
+    }
+    for (int row = 0; row < 6; ++row)
+        for (int column = 0; column < row; ++column) cov[row][column] = cov[column][row];
     const double distance = place.distance();
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) variance += place.position[i] * cov[i][j] * place.position[j] / (distance * distance);

@@ -25,6 +25,7 @@ from swarmtrack.wire.fields import MAX_MESSAGE_BYTES, WIRE_VERSION
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.ranging import RangeMessage
+from swarmtrack.wire.short_form import long_form, short_form
 from swarmtrack.wire.sightings import SightingsMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
@@ -62,7 +63,7 @@ _PERHAPS_NOT_FINITE = re.compile(rb"\xcb[\x7f\xff][\xf0-\xff]|\xca[\x7f\xff][\x8
 
 
 def encode(message: Message, *, short: bool = False) -> bytes:
-    """Bytes of a message. Raises ValueError where a reader would refuse it. short: tracks in single precision.
+    """Bytes of a message. Raises ValueError where a reader would refuse it. short: tracks in their short form.
 
     Of tracks, fifty times a second, the bounds are checked, which NaN fails too, but not again that covariances are
     such: trackers update in Joseph form.
@@ -71,7 +72,7 @@ def encode(message: Message, *, short: bool = False) -> bytes:
     kind = type(message)
     try:
         if isinstance(message, TracksMessage):
-            data = tracks.in_single_precision(message) if short else tracks.shortened(data, message)
+            data = short_form(message) if short else tracks.shortened(data, message)
             _typed(kind, data)
         else:
             if isinstance(message, CameraMessage):
@@ -104,7 +105,13 @@ def decode(kind: type[AnyMessage], data: bytes) -> AnyMessage:
 def _typed(kind: type[AnyMessage], data: bytes) -> AnyMessage:
     """Of the right types and inside the bounds, nothing else."""
     try:
-        message: AnyMessage = _DECODERS[kind].decode(data)
+        try:
+            message: AnyMessage = _DECODERS[kind].decode(data)
+        except msgspec.ValidationError:
+            fields = long_form(data) if kind is TracksMessage else None
+            if fields is None:
+                raise
+            message = msgspec.convert(fields, kind)
     except msgspec.ValidationError as error:
         raise DecodeError(f"{kind.what}: {_with_field_name(kind, str(error))}") from None
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import struct
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Literal
 
 import msgspec
 import numpy as np
@@ -29,8 +28,6 @@ from swarmtrack.wire.fields import (
     Velocity,
 )
 
-# Half of the last bit of a float of 32 bits, as a share of the number.
-SINGLE_PRECISION: Final = 2.0**-24
 # Bytes at most: of everything but records, of a track, of a proof, of a relative state.
 _FRAME_BYTES, _TRACK_BYTES, _PROOF_BYTES, _RELATIVE_BYTES = 64, 200, 28, 320
 
@@ -194,41 +191,6 @@ def shortened(data: bytes, message: TracksMessage) -> bytes:
         return data
     assert data[-empty:] == bytes([_EMPTY] * empty), "as encode makes it"
     return bytes([_ARRAY | (_FIELDS - empty)]) + data[1:-empty]
-
-
-def in_single_precision(message: TracksMessage) -> bytes:
-    """Bytes with the floats of the records in 32 bits, two thirds of the usual size: for a narrow radio.
-
-    Times keep their 64 bits. Variances grow by what rounding may have taken from the smallest eigenvalue.
-    """
-    tracks = tuple(
-        msgspec.structs.replace(track, cov_upper=_on_the_safe_side(track.cov_upper, 4))
-        for track in message.tracks
-    )
-    relatives = tuple(
-        msgspec.structs.replace(relative, cov=_on_the_safe_side(relative.cov, 6))
-        for relative in message.relatives
-    )
-    safe = msgspec.structs.replace(message, tracks=tracks, relatives=relatives)
-    return shortened(_packed(msgspec.to_builtins(safe)), safe)
-
-
-def _on_the_safe_side(upper: tuple[float, ...], n: int) -> tuple[float, ...]:
-    """An upper triangle of (n, n) that stays positive semi-definite when its entries are rounded to 32 bits."""
-    diagonal = {row * n - row * (row - 1) // 2 for row in range(n)}
-    more = n * SINGLE_PRECISION * max(upper[k] for k in diagonal)
-    return tuple(entry + more if k in diagonal else entry for k, entry in enumerate(upper))
-
-
-def _packed(value: object, depth: int = 0) -> bytes:
-    """MessagePack of nested lists, with floats below the first level in 32 bits."""
-    if isinstance(value, list | tuple):
-        n = len(value)
-        head = bytes([_ARRAY | n]) if n < 16 else b"\xdc" + struct.pack(">H", n)
-        return head + b"".join(_packed(entry, depth + 1) for entry in value)
-    if isinstance(value, float) and depth > 1:
-        return b"\xca" + struct.pack(">f", value)
-    return msgspec.msgpack.encode(value)
 
 
 def check(message: TracksMessage) -> None:

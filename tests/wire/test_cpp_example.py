@@ -48,6 +48,13 @@ def test_it_says_who_is_where(program):
     )
 
 
+def test_it_reads_the_short_form_as_well(program):
+    long = codec.decode(TracksMessage, bytes.fromhex(PLACED_TRACKS_BYTES))
+    short = codec.encode(long, short=True)
+    assert b"\xc4" in short
+    assert read(program, short) == read(program, bytes.fromhex(PLACED_TRACKS_BYTES))
+
+
 def test_a_message_without_places_and_a_longer_one_of_tomorrow_are_read(program):
     data = bytes.fromhex(TRACKS_BYTES)
     assert "track 1: foreign (0.75)" in read(program, data)[1]
