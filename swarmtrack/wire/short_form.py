@@ -1,7 +1,7 @@
 """The short form of a tracks message, for narrow radios: half of the bytes, and the same records.
 
 Floats have 32 bits, but for `t_utc_s`. A covariance is a string of 16-bit integers, big-endian, in the order of its
-upper triangle: on the diagonal the logarithm of a standard deviation in units of 1/1024, beside it a correlation in
+upper triangle: on the diagonal the logarithm of a standard deviation in units of 1/1024, elsewhere a correlation in
 units of 1/32767. Both are rounded such that no covariance shrinks in any direction.
 """
 

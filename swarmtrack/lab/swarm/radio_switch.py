@@ -19,6 +19,7 @@ worth waits in the radio, as in real ones, and what finds no room there is lost.
 from __future__ import annotations
 
 import argparse
+import errno
 import heapq
 import itertools
 import mmap
@@ -191,9 +192,18 @@ def run(switch: Switch, taps: Sequence[int], lifeline: int) -> None:
             now = clock.now()
             for frame in _read(fd):
                 for port in switch.send(ports[fd], frame, now):
-                    os.write(taps[port], frame)
+                    _write(taps[port], frame)
         for delivery in switch.deliver(clock.now()) if switch.next_due is not None else ():
-            os.write(taps[delivery.port], delivery.frame)
+            _write(taps[delivery.port], delivery.frame)
+
+
+def _write(tap: int, frame: bytes) -> None:
+    """A radio that is switched off hears nothing."""
+    try:
+        os.write(tap, frame)
+    except OSError as error:
+        if error.errno != errno.EIO:
+            raise
 
 
 def _read(tap: int) -> list[bytes]:
