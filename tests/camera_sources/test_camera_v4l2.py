@@ -29,8 +29,10 @@ from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.camera_sources.v4l2 import exposure_time, holders, kernel_stamp
 from swarmtrack.clock import ManualClock
+from swarmtrack.diagnosis.findings import Level
+from swarmtrack.diagnosis.sources import CameraFacts, check_camera
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import StampKind
+from swarmtrack.messages import LinkStatus, StampKind
 
 DEVICE = "/dev/video99"
 CC = shutil.which("cc") or shutil.which("gcc")
@@ -349,13 +351,24 @@ def test_each_way_out_that_a_camera_names_gives_frames(watch: Watch, tmp_path: P
     cv2.imwrite(str(tmp_path / "image.jpg"), np.full((480, 640, 3), 90, np.uint8))
     before, advice, ways = ADVICE[name]
     tried(*before)
-    said = re.search(advice, watch.status_that(lambda status: re.search(advice, status["text"]))["text"])
+    status = watch.status_that(lambda status: re.search(advice, status["text"]))
+    said, faults = re.search(advice, status["text"]), failures_of(status)
     assert said is not None
+    assert faults
     for script, query, size in ways:
         watch.kill()
         tried(script, query.format(*said.groups()), size)
         shape = watch.frame()["shape"]
         assert size == NO_SIZE or tuple(shape[1::-1]) == size
+        assert not faults & failures_of(watch.status())
+
+
+def failures_of(status: dict[str, Any]) -> set[str]:
+    """What doctor calls them."""
+    counters = tuple((key, value) for key, value in status.items() if isinstance(value, float | int))
+    said = LinkStatus("camera", status["ok"], status["text"], counters)
+    facts = CameraFacts(3.0, 0.5, said, frames=round(status["frames"]), kind="v4l2")
+    return {finding.fault for finding in check_camera(facts) if finding.level is Level.FAILURE}
 
 
 @needs_cc
