@@ -22,7 +22,11 @@ HEADER_V1, HEADER_V2 = 6, 10  # bytes, magic included
 CRC_LENGTH = 2
 SIGNATURE_LENGTH = 13
 SIGNED_FRAME_FLAG = 0x01  # the only incompatibility flag there is
+LONGEST_FRAME = HEADER_V2 + 255 + CRC_LENGTH + SIGNATURE_LENGTH
 
+HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
+# MAVLink 2 and 1: length, flags, sequence, sender and message.
+HEARTBEAT_HEADER = re.compile(rb"\xfd\x09[\x00\x01]\x00...\x00\x00\x00|\xfe\x09...\x00", re.DOTALL)
 FRAME_MAGIC = re.compile(b"[\xfd\xfe]")
 CRC_EXTRA_OF_MESSAGE: dict[int, bytes] = {i: bytes((m.crc_extra,)) for i, m in common.mavlink_map.items()}
 PAYLOAD_SIZE: dict[int, int] = {i: m.unpacker.size for i, m in common.mavlink_map.items()}

@@ -43,9 +43,9 @@ class ImuChoice:
         lower = max((at for other, at in heard.items() if other < number), default=self._contact.known_at)
         return t - lower >= IMU_PREFERRED_S
 
-    def is_source(self, t: float, rank: int, step: StampStep) -> bool:
-        """Whether this kind of message is the one to integrate: the best that is coming."""
-        if step is not StampStep.OTHER:
+    def is_source(self, t: float, rank: int, step: StampStep, *, is_possible: bool = True) -> bool:
+        """Whether this kind of message is the one to integrate: the best that is coming with possible values."""
+        if step is not StampStep.OTHER and is_possible:
             self._seen[rank] = t
         better = max(self._seen[:rank], default=-math.inf)
         asked = self._requests.imu is IMU_MESSAGES[rank]
@@ -56,6 +56,8 @@ class ImuChoice:
             return False
         if step is StampStep.OTHER:
             return rank == self.rank
+        if not is_possible:
+            return self.rank in (None, rank)
         if rank != self.rank:
             is_first, self.rank = self.rank is None, rank
             if not is_first:

@@ -33,6 +33,8 @@ TLOG_PAUSE_S, TLOG_WINDOW_S, TLOG_WINDOW_RECORDS = 0.5, 5.0, 1000
 # Records at a log's beginning by which its stamps are judged; times as fast or slow as the autopilot's clock, which a
 # simulation may be.
 TLOG_JUDGED_RECORDS, TLOG_CLOCK_RATE = 5000, 20.0
+# Of a log that is searched, before others on the event loop get their turn: 4 ms.
+TLOG_BYTES_PER_TURN = 1 << 20
 # No clock is set so often: the autopilot's tells the time from then on. And steps that are said one by one.
 TLOG_MOST_STEPS, TLOG_SAID_STEPS = 100, 3
 # Logs (`log_files`): of the processor's time before a file is given up; ten times what was measured.

@@ -27,6 +27,7 @@ import serial
 from swarmtrack.autopilot.address import LinkAddress, parse_address
 from swarmtrack.autopilot.dataflash import read_dataflash
 from swarmtrack.autopilot.datagrams import Address, DatagramSocket, open_socket
+from swarmtrack.autopilot.framer import MavlinkFrame
 from swarmtrack.autopilot.limits import (
     LINK_CONNECT_TIMEOUT_S,
     LINK_SEND_BUFFER_BYTES,
@@ -37,7 +38,7 @@ from swarmtrack.autopilot.limits import (
 )
 from swarmtrack.autopilot.log_files import check_kind
 from swarmtrack.autopilot.logged_flight import LoggedFlight
-from swarmtrack.autopilot.tlog import records
+from swarmtrack.autopilot.tlog import heartbeats, records
 from swarmtrack.autopilot.ulog import read_ulog
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
@@ -485,11 +486,10 @@ class TlogLink(RecordingLink):
         if self._steps > TLOG_SAID_STEPS:
             log.warning("%s: that clock was set %d times in all", self.address, self._steps)
 
-    def read(self) -> Iterator[bytes]:
-        """What its records hold, without their times."""
+    def heartbeats(self) -> Iterator[list[MavlinkFrame]]:
+        """All of them, piece by piece of the file."""
         with self._map() as data:
-            for _, record in records(data):
-                yield record
+            yield from heartbeats(data)
 
     def _on_useless(self) -> None:
         log.warning(

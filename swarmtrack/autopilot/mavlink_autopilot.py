@@ -13,7 +13,6 @@ import asyncio
 import itertools
 import logging
 import math
-import re
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +27,7 @@ from swarmtrack.autopilot.contact import Contact, RepeatLimiter, heartbeat
 from swarmtrack.autopilot.datagrams import Address
 from swarmtrack.autopilot.engagement import PilotEngagement
 from swarmtrack.autopilot.flight import FlightWatch
-from swarmtrack.autopilot.framer import FAST_CRC, V2, Framer, MavlinkFrame
+from swarmtrack.autopilot.framer import FAST_CRC, HEARTBEAT, HEARTBEAT_HEADER, V2, Framer, MavlinkFrame
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelays
 from swarmtrack.autopilot.limits import (
@@ -47,7 +46,6 @@ from swarmtrack.autopilot.limits import (
     NAMED_SOURCES,
     OVERHEARD_HZ,
     PILOT_SWITCH_HZ,
-    RECORDS_PER_TURN,
     TCP_SILENT_S,
 )
 from swarmtrack.autopilot.link_state import LinkState, State
@@ -66,9 +64,6 @@ from swarmtrack.sources import AutopilotListener
 
 log = logging.getLogger(__name__)
 
-HEARTBEAT: int = common.MAVLINK_MSG_ID_HEARTBEAT
-# MAVLink 2 and 1: length, flags, sequence, sender and message.
-HEARTBEAT_HEADER = re.compile(rb"\xfd\x09[\x00\x01]\x00...\x00\x00\x00|\xfe\x09...\x00", re.DOTALL)
 # When somebody was heard whose part of a log is still to be played.
 NOT_YET = -math.inf
 
@@ -536,12 +531,11 @@ class MavlinkAutopilot:
     async def _survey(self, log: TlogLink) -> None:
         """Note who speaks in a log before it is played: those who are late count as well."""
         # What is decoded once more with this one is no replay to the other.
-        framer, codec, candidates = Framer(), self._codec.again(), self._contact.candidates
-        for i, record in enumerate(log.read()):
-            if i % RECORDS_PER_TURN == 0:
-                await asyncio.sleep(0)
-            for frame in framer.feed(record):
-                if frame.id == HEARTBEAT and (message := codec.decode(frame)) is not None:
+        codec, candidates = self._codec.again(), self._contact.candidates
+        for frames in log.heartbeats():
+            await asyncio.sleep(0)
+            for frame in frames:
+                if (message := codec.decode(frame)) is not None:
                     candidates.on_heartbeat(NOT_YET, AutopilotAddress(frame.system, frame.component), message)
         candidates.first_at = math.inf
 

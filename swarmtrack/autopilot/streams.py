@@ -143,7 +143,8 @@ class Answer(enum.Enum):
 class MessageStream:
     """One requested message: `asked_hz` by the user, `target_hz` after denials, `rate_hz` measured.
 
-    factor: times the target that is requested; came: enough of it did, since it was granted.
+    factor: times the target that is requested; came: enough of it did, since it was granted; count, useless: messages
+    in the present window, and those of them with impossible values.
     """
 
     def __init__(self, message_id: int, asked_hz: float) -> None:
@@ -154,7 +155,7 @@ class MessageStream:
         self.factor = 1.0
         self.came = False
         self.answer = Answer.TO_ASK
-        self.count = 0  # in the present window
+        self.count = self.useless = 0
         self.attempts = 0
         self.again_after = STREAM_ASKED_AGAIN_S
         self.answered_at: float | None = None
@@ -245,6 +246,12 @@ class StreamRequests:
         if stream is not None:
             stream.count += 1
 
+    def useless(self, message_id: int) -> None:
+        """A message that has arrived has impossible values: where all do, it is as good as absent."""
+        stream = self.streams.get(message_id)
+        if stream is not None:
+            stream.useless += 1
+
     def tick(self, now: float, target: AutopilotAddress) -> list[Any]:
         """Measure, and request what is missing."""
         self.measure(now)
@@ -267,7 +274,8 @@ class StreamRequests:
             return
         self._window_start = now
         for stream in self.streams.values():
-            stream.rate_hz, stream.count = stream.count / elapsed, 0
+            usable = stream.count if stream.useless < stream.count else 0
+            stream.rate_hz, stream.count, stream.useless = usable / elapsed, 0, 0
             if stream.rate_hz >= STREAM_RATE_SHARE * stream.target_hz:
                 stream.again_after, stream.came = STREAM_ASKED_AGAIN_S, True
                 if stream.factor != 1.0:
@@ -290,7 +298,7 @@ class StreamRequests:
         """Begin the window again: a rate is that of one grant."""
         self._window_start = now
         for stream in self.streams.values():
-            stream.count = 0
+            stream.count = stream.useless = 0
 
     def _try_double(self, stream: MessageStream) -> bool:
         """A granted rate has not come: ask for twice as much, or take that back. False where nothing is to be tried."""

@@ -90,6 +90,7 @@ STEPPED_BACK = "stamps before the last one, after the clock was corrected"
 # And why something is passed over.
 OTHER_SENSOR = "of another sensor than the first"
 NO_FIX = "without a usable GPS fix, or far from the team's origin"
+NOT_NEEDED = "impossible values, and another message is used"
 
 
 class Telemetry:
@@ -156,6 +157,7 @@ class Telemetry:
         self._window_count = 0
 
         self._pose_at = self._placed_at = -math.inf
+        self._pose_from = ATTITUDE_QUATERNION
         self._quaternion_at = self._euler_at = self._local_at = -math.inf
         self._position: StampedPlace | None = None
         self._below: tuple[float, float] | None = None
@@ -234,7 +236,9 @@ class Telemetry:
             "duplicates": cadence.repeated,
             "copies": self.stamps.copies,
             "out_of_step": sum(each.thrown[SECOND_CLOCK] for each in self.intakes),
-            "invalid": sum(each.thrown[why] for each in self.intakes for why in (IMPOSSIBLE, OTHER_CLOCK)),
+            "invalid": sum(each.thrown[why] for each in self.intakes for why in (IMPOSSIBLE, OTHER_CLOCK))
+            + self.gyro.spare[NOT_NEEDED]
+            + self.attitudes.spare[NOT_NEEDED],
             "after_resync": self.gyro.thrown[STEPPED_BACK],
             "poses": self.attitudes.used,
             "poses_without_position": self._poses_without_position,
@@ -299,21 +303,25 @@ class Telemetry:
     def _take_rates(self, t: float, m: Any, step: StampStep | None, stamp: float) -> None:
         """step: of the stamp, None: a copy."""
         rank = RANKS[m.get_msgId()]
+        source = IMU_MESSAGES[rank]
+        gyro, accel = source.read(m)
+        # Of three numbers Python asks each faster than NumPy asks all. NaN fails this too.
+        is_possible = all(abs(rate) < FASTEST_GYRO_RAD_S for rate in gyro.tolist())
+        if not is_possible and source is self._requests.imu:
+            self._requests.useless(source.id)
         if step is None and rank == self._imu.rank and stamp == self.cadence.newest:
             self.cadence.observe(stamp)
         if step is None:
             return
-        if not self._imu.is_source(t, rank, step):
-            if m.get_msgId() not in ATTITUDE_MESSAGES:
-                self.gyro.pass_over(f"{IMU_MESSAGES[rank].name}: a better message is used")
+        if not self._imu.is_source(t, rank, step, is_possible=is_possible):
+            if source.id not in ATTITUDE_MESSAGES:
+                better = f"{source.name}: a better message is used"
+                self.gyro.pass_over(better if is_possible else NOT_NEEDED)
             return
         if step is StampStep.OTHER:
             self.gyro.throw(SECOND_CLOCK)
             return
-        source = IMU_MESSAGES[rank]
-        gyro, accel = source.read(m)
-        # Of three numbers Python asks each faster than NumPy asks all. NaN fails this too.
-        if not all(abs(rate) < FASTEST_GYRO_RAD_S for rate in gyro.tolist()):
+        if not is_possible:
             self.gyro.throw(IMPOSSIBLE)
             return
         if not self.cadence.observe(stamp):
@@ -384,23 +392,30 @@ class Telemetry:
 
     def _on_quaternion(self, t: float, m: Any) -> None:
         attitude = _from_quaternion((m.q1, m.q2, m.q3, m.q4))
+        if attitude is None:
+            self._requests.useless(ATTITUDE_QUATERNION)
         step, stamp = self._attitude_step(t, m, attitude)
         if step in NEW_STAMPS:
-            self._quaternion_at = t
-            self._take_attitude(t, stamp, attitude)
+            if attitude is not None:
+                self._quaternion_at = t
+            self._take_attitude(t, stamp, attitude, ATTITUDE_QUATERNION)
 
     def _on_euler_angles(self, t: float, m: Any) -> None:
         angles = m.roll, m.pitch, m.yaw
+        is_possible = all(map(math.isfinite, angles))
+        if not is_possible:
+            self._requests.useless(ATTITUDE)
         is_spare = t - self._quaternion_at <= QUATERNION_PREFERRED_S
-        attitude = from_euler(*angles) if not is_spare and all(map(math.isfinite, angles)) else None
+        attitude = from_euler(*angles) if is_possible and not is_spare else None
         step, stamp = self._attitude_step(t, m, attitude)
         if step not in NEW_STAMPS:
             return
         if is_spare:
             self.attitudes.pass_over("ATTITUDE: a better message is used")
             return
-        self._euler_at = t
-        self._take_attitude(t, stamp, attitude)
+        if attitude is not None:
+            self._euler_at = t
+        self._take_attitude(t, stamp, attitude, ATTITUDE)
 
     def _on_odometry(self, t: float, m: Any) -> None:
         """Attitude and local position in one message: each is used where it does not come by a message of its own."""
@@ -420,7 +435,7 @@ class Telemetry:
         if is_spare:
             self.attitudes.pass_over("ODOMETRY: a better message is used")
             return
-        self._take_attitude(t, stamp, attitude)
+        self._take_attitude(t, stamp, attitude, ODOMETRY)
 
     def _attitude_step(self, t: float, m: Any, attitude: Array | None) -> tuple[StampStep | None, float]:
         """What its stamp is, see `AutopilotStamps.step`; its rates are taken."""
@@ -440,13 +455,13 @@ class Telemetry:
         elif step is StampStep.SAME:
             intake.throw(STANDING_CLOCK)
 
-    def _take_attitude(self, t: float, stamp: float, attitude: Array | None) -> None:
+    def _take_attitude(self, t: float, stamp: float, attitude: Array | None, message_id: int) -> None:
         """attitude: (3, 3) world_from_body; None: none that is possible."""
         clock_map = self._map_of_poses(stamp, t)
         if clock_map is self.clock_map and (clock_map.offset is None or t - self.imu_at > IMU_STALE_AFTER_S):
             self._observe_clock(stamp, t)  # without an IMU, this is what tells the autopilot's time
         if attitude is None:
-            self.attitudes.throw(IMPOSSIBLE)
+            self._refuse_attitude(t, message_id)
             return
         if clock_map is None:
             self.attitudes.throw(OTHER_CLOCK)
@@ -458,7 +473,7 @@ class Telemetry:
         else:
             at, position, velocity = self._position
             where = position + (stamp - at) * velocity
-        self._pose_at = t
+        self._pose_at, self._pose_from = t, message_id
         self.attitudes.used += 1
         gps = self._gps
         sigma, vertical = (LOCAL_POSITION_SIGMA_M, None) if gps is None else (gps.sigma, gps.vertical_sigma)
@@ -466,6 +481,16 @@ class Telemetry:
         self.listener.on_pose(
             EgoPose(ours, where, attitude, position_sigma=sigma, vertical_sigma=vertical, ground=ground)
         )
+
+    def _refuse_attitude(self, t: float, message_id: int) -> None:
+        """Its values are impossible: no fault where another message brings the attitude."""
+        if self._pose_from == message_id or t - self._pose_at > QUATERNION_PREFERRED_S:
+            self.attitudes.throw(IMPOSSIBLE)
+            return
+        self.attitudes.pass_over(NOT_NEEDED)
+        text = "%s: the attitude is that of %s, for %s has impossible values"
+        used, refused = (str(common.mavlink_map[each].msgname) for each in (self._pose_from, message_id))
+        self._news.warn(f"useless {refused}", text, self._name, used, refused)
 
     def _map_of_poses(self, stamp: float, t: float) -> ClockMap | None:
         """Of the time base of an attitude's stamp [s] that came at t: that of the gyro. In a log, which nobody can

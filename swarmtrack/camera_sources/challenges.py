@@ -52,8 +52,10 @@ def basic(login: Login) -> str:
 
 def authorization(challenges: Sequence[str], method: str, url: str, login: Login) -> str:
     """Authorization for an RTSP request, by digest where it is offered; empty where no offered scheme is known."""
-    if "digest" not in schemes_of(challenges):
-        return basic(login) if "basic" in schemes_of(challenges) else ""
+    schemes = schemes_of(challenges)
+    if "digest" not in schemes:
+        # Some cameras answer 401 and name no scheme: they mean basic.
+        return basic(login) if "basic" in schemes or not schemes else ""
     answers = (_digest(each, method, url, login) for each in digests_of(challenges))
     return next(filter(None, answers), "")
 

@@ -21,7 +21,7 @@ from swarmtrack.camera_sources.address import CameraAddress, read_options, serve
 from swarmtrack.camera_sources.frame_slot import FrameSlot, RawFrame, already
 from swarmtrack.camera_sources.http_stream import NetworkOptions
 from swarmtrack.camera_sources.limits import CAMERA_FIRST_BACKOFF_S, CAMERA_LONGEST_BACKOFF_S, RTSP_PORT
-from swarmtrack.camera_sources.rtsp_answer import why_no_video
+from swarmtrack.camera_sources.rtsp_answer import RtspAnswer, describe, why_no_video
 from swarmtrack.camera_sources.thread_camera import ThreadCamera
 from swarmtrack.camera_sources.video import open_video
 from swarmtrack.clock import Clock
@@ -74,20 +74,36 @@ class RtspCamera(ThreadCamera):
         """The opened stream, or None and why not."""
         parts = urlsplit(self._url)
         where = (parts.hostname or "", parts.port or RTSP_PORT)
-        # OpenCV reports only that it failed. Whether the machine is there at all can be asked first.
+        # OpenCV reports only that it failed. Whether the machine is there at all can be asked first, and whether it
+        # takes the login: a wrong one is sent once per attempt, for cameras count those and lock the user out.
         try:
-            socket.create_connection(where, timeout=self._options.timeout_s).close()
+            connection = self._connect(where)
         except OSError as error:
             return None, f"cannot connect to {where[0]} port {where[1]}: {error.strerror or error}"
+        with connection:
+            answer = None if self._login is None else self._describe(connection)
         if self._stop.is_set():
             return None, "closed"
+        if answer is not None and answer.refuses_login:
+            return None, why_no_video(where, answer, self._login)
         limit_ms = int(1e3 * self._options.timeout_s)
         limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, limit_ms, cv2.CAP_PROP_READ_TIMEOUT_MSEC, limit_ms]
         capture = open_video(with_login(self._url, self._login), limits)
         if capture.isOpened():
             return capture, ""
         capture.release()
-        return None, why_no_video(where, self._url, self._login, self._options.timeout_s)
+        if self._login is None:
+            with contextlib.suppress(OSError), self._connect(where) as connection:
+                answer = self._describe(connection)
+        return None, why_no_video(where, answer, self._login)
+
+    def _connect(self, where: tuple[str, int]) -> socket.socket:
+        return socket.create_connection(where, timeout=self._options.timeout_s)
+
+    def _describe(self, connection: socket.socket) -> RtspAnswer | None:
+        """The whole takes `timeout_s` at most, however slowly its bytes come."""
+        end = self._clock.now() + self._options.timeout_s
+        return describe(connection, self._url, self._login, lambda: end - self._clock.now())
 
     def _stream(self, capture: cv2.VideoCapture, sequence: int, tell: Callable[..., None]) -> int:
         """Feed the slot until the stream breaks; returns the next sequence."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
@@ -13,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 import onnxruntime as ort
 
+from swarmtrack.detection.onnx_file import count_nodes
 from swarmtrack.errors import ModelError
 from swarmtrack.plain_text import plain
 
@@ -46,7 +49,21 @@ MOST_INPUT_PIXELS = 3840 * 2160
 """As floats, 100 MB."""
 MOST_OUTPUT_NUMBERS = 50_000_000
 """200 MB as floats; a YOLO of 80 classes has 14 million for a 4K image."""
+MOST_FOLDED_BYTES = 256 << 20
+"""Of all constants that are computed when a net is loaded; foreign nets need some megabytes."""
+FOLDING_IS_BOUNDED = (1, 27)
+"""Version of ONNX Runtime that can bound them."""
+MOST_NET_BYTES, NET_MEMORY_SHARE = 2 << 30, 0.5
+"""Of all nets on the CPU together, and of this machine's memory; a YOLO at 4K takes about 1 GB."""
+LONGEST_RUNTIME_REASON = 300  # characters of ONNX Runtime's
 TRIAL_S, COMPILING_S = 30.0, 1200.0  # s for the first answer; where an accelerator compiles the net before
+
+MEMORY_REFUSED = re.compile(
+    r"running (?P<node>\w{1,60}) node\b.*\b"
+    r"(?:requested bytes of|requested buffer of size|require more than) (?P<bytes>\d{1,20})",
+    re.DOTALL,
+)
+"""In ONNX Runtime's words."""
 
 T = TypeVar("T")
 
@@ -98,19 +115,26 @@ def open_session(
         raise ModelError(
             f'{path}: no such model file; expected an ONNX file, or "default" for the one that is shipped'
         )
+    nodes = 0 if path.suffix == ".ort" else count_nodes(path)
+    limit_memory()
     options = ort.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
     options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_ALL
     # Spinning threads burn a core between frames, which the tracker and the links need.
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    most_folded = str(MOST_FOLDED_BYTES // max(1, nodes))
+    options.add_session_config_entry("optimization.constant_folding_max_output_size_in_bytes", most_folded)
+    left_out = [] if _version() >= FOLDING_IS_BOUNDED else ["ConstantFolding"]
     options.log_severity_level = 4  # the exception says it; the C++ log would only repeat it on stderr
     chosen = [(PROVIDERS[name], _options(name, cache or cache_folder(), threads)) for name in usable]
     try:
-        session = ort.InferenceSession(str(path), options, providers=chosen)
+        session = ort.InferenceSession(str(path), options, providers=chosen, disabled_optimizers=left_out)
     except Exception as error:  # ONNX Runtime's exceptions have no common base but this
+        why = plain(str(error), LONGEST_RUNTIME_REASON)
         raise ModelError(
-            f"{path}: not a model that ONNX Runtime {ort.__version__} can load: {error}"
+            f"{path}: not a model that ONNX Runtime {ort.__version__} can load: {why}"
         ) from error
     for output in session.get_outputs():
         # Sizes that depend on the input are words.
@@ -120,6 +144,21 @@ def open_session(
                 f"{MOST_OUTPUT_NUMBERS} numbers at most"
             )
     return session
+
+
+@lru_cache(maxsize=1)
+def limit_memory() -> int:
+    """Most bytes that all nets of this process take on the CPU, from now on."""
+    here = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    most = min(MOST_NET_BYTES, int(NET_MEMORY_SHARE * here))
+    place = ort.OrtMemoryInfo("Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT)
+    # -1: as ONNX Runtime chooses.
+    ort.create_and_register_allocator(place, ort.OrtArenaCfg(most, -1, -1, -1))
+    return most
+
+
+def _version() -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", ort.__version__)[:2])
 
 
 def _options(provider: str, cache: Path, threads: int) -> Mapping[str, Any]:
@@ -159,7 +198,15 @@ def first_answer(path: Path, ask: Callable[[ort.RunOptions], T], *, limit_s: flo
                 f"{path}: no answer within {limit_s:g} s to {what}, expected a detector that is fast enough for a "
                 "flight"
             ) from None
-        raise ModelError(f"{path}: cannot run on {what}: {error}") from error
+        asked = MEMORY_REFUSED.search(str(error))
+        if asked is not None:
+            raise ModelError(
+                f"{path}: its {asked['node']} asks for {1e-9 * float(asked['bytes']):.3g} GB of memory on {what}, "
+                f"expected {1e-9 * limit_memory():.3g} GB at most for all of a net"
+            ) from None
+        raise ModelError(
+            f"{path}: cannot run on {what}: {plain(str(error), LONGEST_RUNTIME_REASON)}"
+        ) from error
     finally:
         ending.cancel()
 

@@ -6,7 +6,7 @@ import math
 import random
 import re
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -541,6 +541,9 @@ class Spoiled(FakeAutopilot):
         return report
 
 
+WITHOUT_EULER_ANGLES = tuple(n for n in SimulatedArduPilot.offers if n != common.MAVLINK_MSG_ID_ATTITUDE)
+
+
 def nan_gyro(m: Any) -> None:
     if m.get_type() == "HIGHRES_IMU" and m.time_usec // 5000 % 3:
         m.xgyro = math.nan
@@ -579,7 +582,7 @@ def another_clock(m: Any) -> None:
 async def test_where_more_is_thrown_away_than_used_the_link_is_not_ok_and_says_what(
     spoil, state, said, trouble
 ):
-    async with Flight(Spoiled(spoil, boot_at=60.0)) as flight:
+    async with Flight(Spoiled(spoil, boot_at=60.0, offered=WITHOUT_EULER_ANGLES)) as flight:
         flight.fly(8.0)
         status = flight.unit.status()
         assert not status.ok
@@ -682,6 +685,77 @@ async def test_euler_angles_are_the_attitude_where_there_is_no_quaternion():
         assert len(flight.listener.poses) == pytest.approx(50 * 4.5, abs=25)
         found = flight.listener.poses[-1].world_from_body @ (1, 0, 0)
         np.testing.assert_allclose(found, (math.cos(0.8), math.sin(0.8), 0.0), atol=1e-6)
+
+
+def spoiled_quaternion(*numbers: float) -> Callable[[Any], None]:
+    def spoil(m: Any) -> None:
+        if m.get_type() == "ATTITUDE_QUATERNION":
+            m.q1, m.q2, m.q3, m.q4 = numbers
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    "numbers", [(math.nan,) * 4, (0.0,) * 4, (3.0, 0.0, 0.0, 0.0), (math.inf, 0.0, 0.0, 0.0)]
+)
+@pytest.mark.parametrize("comes_by_itself", [True, False])
+async def test_a_useless_quaternion_does_not_silence_the_euler_angles(numbers, comes_by_itself):
+    autopilot = Spoiled(spoiled_quaternion(*numbers), boot_at=60.0)
+    autopilot.q = np.array((math.cos(0.4), 0.0, 0.0, math.sin(0.4)))  # yaw 0.8
+    async with Flight(autopilot) as flight:
+        if comes_by_itself:
+            autopilot.set_interval(common.MAVLINK_MSG_ID_ATTITUDE, 20_000, flight.clock.now())
+            flight.fly(3.0)
+            assert flight.listener.poses
+        flight.fly(12.0)
+        assert flight.unit.status().ok
+        before = len(flight.listener.poses)
+        flight.fly(4.0)
+        assert flight.unit.status().ok
+        assert len(flight.listener.poses) - before == pytest.approx(200, abs=5)
+        found = flight.listener.poses[-1].world_from_body @ (1, 0, 0)
+        np.testing.assert_allclose(found, (math.cos(0.8), math.sin(0.8), 0.0), atol=1e-6)
+        # The autopilot still sends both.
+        assert flight.count["invalid"] >= 4.0 * 50
+        refused = re.search(
+            r"(\d+) attitudes \(impossible values, and another message is used\)",
+            " ".join(flight.unit.account()),
+        )
+        assert refused is not None
+        assert int(refused[1]) >= 4.0 * 50
+
+
+async def test_a_useless_quaternion_that_comes_by_two_ways_is_none_either():
+    autopilot = Spoiled(spoiled_quaternion(0.0, 0.0, 0.0, 0.0), boot_at=60.0)
+    async with Flight(TwoWays(autopilot, 0.2)) as flight:
+        flight.fly(12.0)
+        assert flight.unit.status().ok
+        assert flight.listener.poses
+
+
+async def test_a_quaternion_that_is_useless_now_and_then_is_thrown_away_and_no_other_asked_for():
+    def spoil(m: Any) -> None:
+        if m.get_type() == "ATTITUDE_QUATERNION" and m.time_boot_ms // 20 % 2:
+            m.q1 = math.nan
+
+    autopilot = Spoiled(spoil, boot_at=60.0)
+    async with Flight(autopilot) as flight:
+        flight.fly(8.0)
+        assert common.MAVLINK_MSG_ID_ATTITUDE not in {message for message, _ in autopilot.commands}
+        assert "attitudes (impossible values)" in " ".join(flight.unit.account())
+
+
+async def test_a_gyro_of_impossible_values_does_not_silence_a_lesser_one():
+    def spoil(m: Any) -> None:
+        if m.get_type() == "HIGHRES_IMU":
+            m.xgyro = math.nan
+
+    autopilot = Spoiled(spoil, boot_at=60.0)
+    async with Flight(autopilot) as flight:
+        flight.fly(12.0)
+        assert flight.unit.status().ok
+        assert "200 Hz got from RAW_IMU" in flight.text
+        assert flight.count["invalid"] > 0
 
 
 class Odometry(FakeAutopilot):

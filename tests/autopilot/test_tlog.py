@@ -12,6 +12,8 @@ from support.autopilot_flight import Listener
 from support.fake_autopilot import FakeAutopilot
 from support.mutants import mutants
 from support.places import SHARED
+from swarmtrack.autopilot import tlog as tlog_module
+from swarmtrack.autopilot.framer import HEARTBEAT, Framer, MavlinkFrame
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.tlog import records
 from swarmtrack.clock import ManualClock
@@ -135,6 +137,64 @@ async def test_a_log_of_a_streams_pieces_loses_no_frame(tmp_path):
     autopilot, kept = MavlinkAutopilot(f"tlog:{path}?speed=0", clock=ManualClock(1000.0)), Listener()
     await autopilot.run(kept)
     assert len(kept.poses) == 400
+
+
+# --- heartbeats are looked up, and the log is framed once ---------------------------------------------
+
+
+def framed_heartbeats(data: bytes) -> list[MavlinkFrame]:
+    """By framing all."""
+    framer = Framer()
+    return [frame for _, record in records(data) for frame in framer.feed(record) if frame.id == HEARTBEAT]
+
+
+def looked_up(data: bytes) -> list[MavlinkFrame]:
+    return [frame for frames in tlog_module.heartbeats(data) for frame in frames]
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["ardupilot_sitl", "dronekit_flight_2015"])
+def test_the_heartbeats_of_a_real_log_are_found_and_little_of_it_is_framed(name, monkeypatch):
+    data = (SHARED / "mavlink" / f"{name}.tlog").read_bytes()
+    expected, fed = framed_heartbeats(data), [0]
+
+    class Counting(Framer):
+        def datagram(self, data: bytes) -> list[MavlinkFrame]:
+            fed[0] += len(data)
+            return super().datagram(data)
+
+    monkeypatch.setattr(tlog_module, "Framer", Counting)
+    assert looked_up(data) == expected
+    assert fed[0] < 0.2 * len(data)
+
+
+def test_heartbeats_are_found_over_the_seams_of_a_log_and_once_each(monkeypatch):
+    data = tlog(flight(20.0))
+    for piece in (7, 16, 64, 1000):
+        monkeypatch.setattr(tlog_module, "TLOG_BYTES_PER_TURN", piece)
+        assert looked_up(data) == framed_heartbeats(data)
+
+
+def test_heartbeats_are_found_whatever_is_damaged():
+    for mutant in mutants(tlog(flight(5.0)), 150, seed=5):
+        assert {frame.data for frame in framed_heartbeats(mutant)} <= {
+            frame.data for frame in looked_up(mutant)
+        }
+
+
+def test_a_heartbeat_in_a_tunnels_payload_is_nobodys_on_this_link():
+    theirs = common.MAVLink_heartbeat_message(2, 12, 0, 0, 3, 3).pack(common.MAVLink(None, 9, 1))
+    payload = list(theirs) + [0] * (128 - len(theirs))
+    tunnel = common.MAVLink_tunnel_message(1, 1, 0, len(theirs), payload).pack(common.MAVLink(None, 1, 1))
+    data = tlog([*flight(2.0), (2.1, bytes(tunnel))])
+    assert {frame.system for frame in looked_up(data)} == {1}
+
+
+def test_heartbeats_that_stamps_cut_in_pieces_are_found():
+    stream = b"".join(frame for _, frame in flight(5.0))
+    data = tlog([(0.01 * k, stream[at : at + 16]) for k, at in enumerate(range(0, len(stream), 16))])
+    assert framed_heartbeats(data)
+    assert looked_up(data) == framed_heartbeats(data)
 
 
 @pytest.mark.parametrize("damage", [1 << 20, 1 << 33, 1 << 44, 1 << 47])

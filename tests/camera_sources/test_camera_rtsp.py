@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import hashlib
 import re
 import struct
@@ -51,12 +52,15 @@ def rtp_packets(image: np.ndarray, sequence: int, timestamp: int) -> list[bytes]
 class Server:
     """Plays grey pictures that get lighter; `silent` stops them, `hang_up` ends the connections.
 
-    challenges: a login is asked for so, of pilot and `password`; described: the answer to DESCRIBE, if other than 200.
+    challenges: a login is asked for so, of pilot and `password`; always_asks: even without a challenge; described: the
+    answer to DESCRIBE, if other than 200; logins: the Authorization of each request that had one.
     """
 
     def __init__(self) -> None:
         self.silent = False
         self.challenges: list[str] = []
+        self.always_asks = False
+        self.logins: list[str] = []
         self.password = "se@cr/et"
         self.described = ""
         self.plays = 0
@@ -84,6 +88,7 @@ class Server:
             writer.close()
 
     def _answer(self, method: str, headers: dict[str, str]) -> bytes:
+        self.logins += [headers["authorization"]] if "authorization" in headers else []
         lines = ["RTSP/1.0 200 OK", f"CSeq: {headers.get('cseq', '0')}", "Session: 1"]
         body = ""
         if method == "OPTIONS":
@@ -106,7 +111,7 @@ class Server:
         return ("\r\n".join(lines) + "\r\n\r\n" + body).encode()
 
     def _is_right(self, said: str) -> bool:
-        if not self.challenges:
+        if not self.challenges and not self.always_asks:
             return True
         if said.startswith("Basic "):
             return base64.b64decode(said[6:]).decode() == f"pilot:{self.password}"
@@ -228,6 +233,57 @@ async def test_with_the_right_login_a_camera_is_read(server: Server, challenges:
     camera = open_camera(url(server.port).replace("://", "://pilot:se%40cr%2Fet@"), clock=SystemClock())
     assert len(await first(1, camera.frames())) == 1
     await camera.close()
+
+
+@pytest.mark.parametrize("challenges", [[DIGEST], [BASIC], [BASIC, DIGEST], []])
+async def test_a_wrong_login_is_sent_once_per_attempt(server: Server, challenges: list[str]) -> None:
+    """Cameras count wrong ones, and lock the user out."""
+    server.challenges, server.always_asks = challenges, True
+    camera = open_camera(url(server.port).replace("://", "://pilot:hunter2@"), clock=SystemClock())
+    taking = asyncio.create_task(first(1, camera.frames()))
+    async with asyncio.timeout(PATIENCE):
+        await status_with(camera, "user or password is not accepted")
+        assert len(server.logins) == 1
+        await camera.close()
+    assert await taking == []
+
+
+@pytest.mark.parametrize(
+    ("login", "words"),
+    [
+        ("", "RTSP 401 Unauthorized: give user and password, rtsp://USER:PASSWORD@HOST/…"),
+        ("pilot:hunter2@", "user or password is not accepted (asked for: no known scheme)"),
+        ("pilot:se%40cr%2Fet@", "the login is right, but is never asked for: select digest or basic"),
+    ],
+)
+async def test_a_camera_that_names_no_scheme_is_asked_by_basic_as_over_http(
+    server: Server, login: str, words: str
+) -> None:
+    server.always_asks = True
+    camera = open_camera(url(server.port).replace("://", f"://{login}"), clock=SystemClock())
+    await nothing_comes_but(words, camera, camera.frames())
+    assert [said.partition(" ")[0] for said in server.logins[:1]] == (["Basic"] if login else [])
+    assert only_fault(camera.status()) == "camera.login"
+
+
+@pytest.mark.parametrize("login", ["", "pilot:hunter2@"])
+async def test_a_server_that_drips_bytes_holds_nobody_beyond_the_timeout(login: str) -> None:
+    """Each byte comes in time, the whole answer never."""
+
+    async def drip(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        del reader
+        with contextlib.suppress(ConnectionError):
+            writer.write(b"RTSP/1.0 200 OK\r\n")
+            while True:
+                writer.write(b"X")
+                await writer.drain()
+                await asyncio.sleep(0.05)
+
+    dripping = await asyncio.start_server(drip, "127.0.0.1", 0)
+    port = dripping.sockets[0].getsockname()[1]
+    camera = open_camera(url(port, "?timeout_s=0.5").replace("://", f"://{login}"), clock=SystemClock())
+    await nothing_comes_but("answers, but gives no video", camera, camera.frames())
+    dripping.close()
 
 
 @pytest.mark.parametrize(

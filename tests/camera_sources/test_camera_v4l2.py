@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -28,8 +29,10 @@ from swarmtrack.camera_sources.opening import open_camera
 from swarmtrack.camera_sources.stretch import Stretch
 from swarmtrack.camera_sources.v4l2 import exposure_time, holders, kernel_stamp
 from swarmtrack.clock import ManualClock
+from swarmtrack.diagnosis.findings import Level
+from swarmtrack.diagnosis.sources import CameraFacts, check_camera
 from swarmtrack.errors import SourceError
-from swarmtrack.messages import StampKind
+from swarmtrack.messages import LinkStatus, StampKind
 
 DEVICE = "/dev/video99"
 CC = shutil.which("cc") or shutil.which("gcc")
@@ -301,6 +304,87 @@ def test_frames_of_another_size_are_refused_and_said_unless_they_may_be_scaled(w
     watch.kill()
     watch.start("resize=1", size=(640, 480))
     assert watch.frame()["shape"] == [480, 640]
+
+
+SMALL = {"width": 320, "height": 240, "formats": "GREY"}
+NARROW = {"formats": "YUYV,MJPG", "bandwidth": 320 * 240, "jpeg": "JPEG"}
+NO_SIZE = (0, 0)
+
+# Script, query and calibrated size; the advice, where {} stands for what it names; and for each way out the same three.
+Try = tuple[dict[str, object], str, tuple[int, int]]
+ADVICE: dict[str, tuple[Try, str, list[Try]]] = {
+    "another fourcc": (
+        ({"formats": "YUYV"}, "fourcc=MJPG", NO_SIZE), r"expected one of MJPG: add (\w+) to fourcc= in the address",
+        [({"formats": "YUYV"}, "fourcc=MJPG,{}", NO_SIZE)],
+    ),
+    "one size only": (
+        (SMALL, "", (640, 480)), "set the camera to that size, calibrate again, or add resize=1",
+        [({"formats": "GREY"}, "", (640, 480)), (SMALL, "", (320, 240)), (SMALL, "resize=1", (640, 480))],
+    ),
+    "a narrow bus": (
+        (NARROW, "width=640&height=480", NO_SIZE),
+        "not enough USB bandwidth; use another port, a smaller size or fourcc=MJPG",
+        [
+            (NARROW | {"bandwidth": 0}, "width=640&height=480", NO_SIZE),
+            (NARROW, "width=320&height=240", NO_SIZE),
+            (NARROW, "width=640&height=480&fourcc=MJPG", NO_SIZE),
+        ],
+    ),
+    "another program": (
+        ({"formats": "GREY", "busy": 1}, "", NO_SIZE), "busy, held by", [({"formats": "GREY"}, "", NO_SIZE)],
+    ),
+    "no pictures": (
+        ({"formats": "GREY,MJPG", "jpeg": "/dev/null"}, "fourcc=MJPG", NO_SIZE), "no picture",
+        [({"formats": "GREY,MJPG"}, "fourcc=GREY", NO_SIZE)],
+    ),
+}  # fmt: skip
+
+
+@needs_cc
+@pytest.mark.parametrize("name", ADVICE)
+def test_each_way_out_that_a_camera_names_gives_frames(watch: Watch, tmp_path: Path, name: str) -> None:
+    def tried(script: dict[str, object], query: str, size: tuple[int, int]) -> None:
+        jpeg = {"jpeg": tmp_path / "image.jpg"} if script.get("jpeg") == "JPEG" else {}
+        watch.script(**script | jpeg)
+        watch.start(query, size)
+
+    cv2.imwrite(str(tmp_path / "image.jpg"), np.full((480, 640, 3), 90, np.uint8))
+    before, advice, ways = ADVICE[name]
+    tried(*before)
+    status = watch.status_that(lambda status: re.search(advice, status["text"]))
+    said, faults = re.search(advice, status["text"]), failures_of(status)
+    assert said is not None
+    assert faults
+    for script, query, size in ways:
+        watch.kill()
+        tried(script, query.format(*said.groups()), size)
+        shape = watch.frame()["shape"]
+        assert size == NO_SIZE or tuple(shape[1::-1]) == size
+        assert not faults & failures_of(watch.status())
+
+
+def failures_of(status: dict[str, Any]) -> set[str]:
+    """What doctor calls them."""
+    counters = tuple((key, value) for key, value in status.items() if isinstance(value, float | int))
+    said = LinkStatus("camera", status["ok"], status["text"], counters)
+    facts = CameraFacts(3.0, 0.5, said, frames=round(status["frames"]), kind="v4l2")
+    return {finding.fault for finding in check_camera(facts) if finding.level is Level.FAILURE}
+
+
+@needs_cc
+def test_each_way_out_of_a_size_that_contradicts_the_calibration_gives_frames(watch: Watch) -> None:
+    asked = "width=320&height=240"
+    with pytest.raises(SourceError, match="ask for that size, calibrate again, or add resize=1"):
+        open_camera(f"v4l2://{DEVICE}?{asked}", clock=ManualClock(), size=(640, 480))
+    watch.script(formats="GREY")
+    for query, size in (
+        ("width=640&height=480", (640, 480)),
+        (asked, (320, 240)),
+        (f"{asked}&resize=1", (640, 480)),
+    ):
+        watch.start(query, size)
+        assert watch.frame()["shape"][1::-1] == list(size)
+        watch.kill()
 
 
 @needs_cc

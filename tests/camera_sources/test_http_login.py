@@ -102,13 +102,13 @@ async def test_a_login_is_given_as_the_camera_asks_and_not_before(challenges: li
     assert all(said.startswith(scheme) for said in server.requests[1:] if said)
 
 
-@pytest.mark.parametrize("challenges", [[DIGEST], [BASIC]])
+@pytest.mark.parametrize("challenges", [[DIGEST], [BASIC], []])
 async def test_a_wrong_password_is_said_and_not_shown(
     challenges: list[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     async with login_server(*challenges) as server:
         camera = open_camera(server.url("hunter2"), clock=SystemClock())
-        scheme = challenges[0].split()[0].lower()
+        scheme = challenges[0].split()[0].lower() if challenges else "no known scheme"
         words = f"HTTP 401 Unauthorized: user or password is not accepted (asked for: {scheme})"
         await nothing_comes_but(words, camera, camera.frames())
     shown = [camera.status().text, camera.status().name, *caplog.messages]

@@ -1,7 +1,8 @@
 """Advice is followed: for each remedy of doctor and of the network's errors, somebody does what it says, and it helps.
 
 What takes hands (a plug, a cable, a tool of another firm) no test can do; each such fault is listed with its reason, so
-that a new one is either followed here or said to be beyond a test.
+that a new one is either followed here or said to be beyond a test. Advice of errors is followed next to their tests:
+of V4L2 cameras in test_camera_v4l2.py, of calibrations, nets and logs in test_advice_on_*.py.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ TUNING = "depends on the scene; docs/tracking.md has measurements"
 BEYOND = {
     **dict.fromkeys(
         (
-            "camera.missing", "camera.forbidden", "camera.busy", "camera.broken", "camera.late", "camera.slow",
+            "camera.missing", "camera.forbidden", "camera.broken", "camera.late", "camera.slow",
             "camera.damaged", "autopilot.missing", "autopilot.forbidden", "autopilot.lost",
             "autopilot.strangers", "autopilot.losing", "autopilot.clock", "autopilot.drift", "autopilot.unsteady",
             "autopilot.broken", "autopilot.no_position", "autopilot.thrown_away", "limits.silent", "disk.full",
@@ -87,6 +88,8 @@ BEYOND = {
     ),
     **dict.fromkeys(("detector.slow", "tracking.noisy", "tracking.sure", "tracking.careful"), TUNING),
     "camera.login": "a login that is given or wrong is followed in tests/camera_sources/test_http_login.py",
+    "camera.busy": "a program that ends is followed, as all that a V4L2 camera names, in "
+    "tests/camera_sources/test_camera_v4l2.py",
     "network.id_clash": "a clash and its end are followed in tests/transport/test_transport.py",
     "autopilot.second": "an ID that is set chooses its autopilot in tests/autopilot/test_shared_links.py",
     "network.absent": "an agent that is started answers in tests/live/test_doctor.py",

@@ -19,6 +19,7 @@
  *   damaged 0      1: buffers carry the error flag
  *   jpeg FILE      the image of MJPG and JPEG
  *   planes 1       2: captures multi-planar only
+ *   bandwidth 0    of the USB bus, pixels of raw images: larger ones do not start, ENOSPC; 0: any
  *
  * Frames of GREY, YUYV, UYVY and NV12 are uniform with luma 4 * sequence modulo 256. The sequence counts exposures: one for which no
  * buffer was queued is missing from it. As in the kernel, a filled buffer waits until it is taken.
@@ -50,7 +51,7 @@
 #define NEXT(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
 
 struct script {
-    int plugged, silent, stuck, busy, open_errno, width, height, lead_us, damaged, controls, planes;
+    int plugged, silent, stuck, busy, open_errno, width, height, lead_us, damaged, controls, planes, bandwidth;
     double fps;
     char driver[16], formats[64], stamp[16], jpeg[512];
 };
@@ -104,6 +105,7 @@ static struct script read_script(void) {
         else if (!strcmp(key, "lead_us")) s.lead_us = atoi(value);
         else if (!strcmp(key, "damaged")) s.damaged = atoi(value);
         else if (!strcmp(key, "planes")) s.planes = atoi(value);
+        else if (!strcmp(key, "bandwidth")) s.bandwidth = atoi(value);
         else if (!strcmp(key, "controls")) s.controls = atoi(value);
         else if (!strcmp(key, "fps")) s.fps = atof(value);
         else if (!strcmp(key, "driver")) snprintf(s.driver, sizeof s.driver, "%.15s", value);
@@ -305,6 +307,8 @@ static int answer(struct device *d, uint32_t request, void *argument) {
     }
     case (uint32_t)VIDIOC_DQBUF: return dequeue(d, argument, &s);
     case (uint32_t)VIDIOC_STREAMON:
+        if (s.bandwidth && d->pix.pixelformat != V4L2_PIX_FMT_MJPEG && d->pix.width * d->pix.height > (uint32_t)s.bandwidth)
+            return ENOSPC;
         d->streaming = 1;
         return pthread_create(&d->thread, NULL, run, d);
     case (uint32_t)VIDIOC_STREAMOFF: return stop_streaming(d);
