@@ -29,6 +29,8 @@ from swarmtrack.lab.score.swarm_verdict import BUSY
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, read_truth
 
+# PX4 stamps its truth by 0.
+MIXED_PAIR = PAIR.replace("drones = 2", 'drones = 2\nautopilots = ["ardupilot", "px4"]')
 LENGTHS = (6, 24)  # s: the second where the machine is so busy that the first flight was over too soon
 
 
@@ -101,10 +103,10 @@ class Flown(NamedTuple):
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory) -> Flown:
-    """A recorded flight, in whose midst the simulator of the others stands still for two seconds."""
+    """A recorded flight of an ArduPilot and a PX4, in whose midst their simulator stands still for two seconds."""
     for seconds in LENGTHS:
         folder = tmp_path_factory.mktemp("outside")
-        with others(folder, seconds=seconds) as flying:
+        with others(folder, MIXED_PAIR, seconds=seconds) as flying:
             record = ("--record", str(folder / "recording"), "--json", str(folder / "out.json"))
             process = start(
                 folder, "--world", str(flying.world), "--detector", "oracle", "--seed", "1", *record
