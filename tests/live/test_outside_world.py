@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import socket
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from support.launcher import finish, living, start
+from support.launcher import finish, living, pid_of, start
 from support.pair_scenario import PAIR, is_fair, is_judged
 from support.patience import PATIENCE, until
 from support.places import DOCS, ROOT
@@ -27,7 +28,7 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.score.swarm_verdict import BUSY
 from swarmtrack.recording.reader import recordings_below
-from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, read_truth
+from swarmtrack.runtime.swarm_recorder import FLIGHT_TOPIC, TRUTH_TOPIC, read_flight, read_truth
 
 # PX4 stamps its truth by 0.
 MIXED_PAIR = PAIR.replace("drones = 2", 'drones = 2\nautopilots = ["ardupilot", "px4"]')
@@ -165,6 +166,57 @@ def test_the_recording_is_judged_as_the_flight_was(flown, capsys):
     assert swarmtrack.main(["replay", str(flown.recording)]) == flown.code
     said = capsys.readouterr()
     assert "the verdict is the recorded one" in said.out, said.out + said.err
+
+
+# --- an agent dies --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory) -> Flown:
+    """A recorded flight, one agent of which somebody kills, then ended by Ctrl-C."""
+    folder = tmp_path_factory.mktemp("killed")
+    with others(folder, seconds=600.0) as flying:
+        recording = folder / "recording"
+        options = ("--world", str(flying.world), "--detector", "oracle", "--record", str(recording))
+        process = start(folder, *options)
+        lines: list[str] = []
+
+        def read_until(*words: str) -> None:
+            while not lines or not any(word in lines[-1] for word in words):
+                lines.append(process.stdout.readline())
+                assert lines[-1], process.communicate()[1]
+
+        read_until("names ", "nothing to judge yet")
+        first = until(lambda: pid_of(folder, "drone-2.toml"), "drone 2 is started")
+        os.kill(first, signal.SIGKILL)
+        read_until("its agent was killed")
+        until(
+            lambda: (pid_of(folder, "drone-2.toml") or first) != first,
+            "the agent of drone 2 is started again",
+        )
+        process.send_signal(signal.SIGINT)
+        lines.append(process.stdout.read())
+        code, _, complained = finish(process)
+    return Flown("".join(lines), complained, code, {}, recording)
+
+
+def test_an_agent_that_somebody_kills_is_said_and_started_again(killed):
+    assert killed.said.count("drone 2: its agent was killed (SIGKILL), and is started again in 1 s") == 1
+    assert "interrupted" in killed.complained
+    assert "ended by itself" not in killed.complained
+    (swarm,) = [recording for recording in recordings_below(killed.recording) if recording.kind == "swarm"]
+    events = [read_flight(message) for message in swarm.messages(frozenset({FLIGHT_TOPIC}))]
+    of_drone_2 = [event for event in events if event.drone_id == 2]
+    assert [event.event for event in of_drone_2] == ["started", "ended", "started"]
+    assert of_drone_2[2].t_s - of_drone_2[1].t_s > 1.0
+
+
+def test_the_truth_of_a_flight_that_was_cut_short_is_recorded(killed):
+    (swarm,) = [recording for recording in recordings_below(killed.recording) if recording.kind == "swarm"]
+    truths = [read_truth(message) for message in swarm.messages(frozenset({TRUTH_TOPIC}))]
+    assert {true.drone_id for true in truths} == {1, 2}
+    # 50 times a second, from before the first frame on.
+    assert len(truths) > 50
 
 
 # --- what goes wrong ------------------------------------------------------------------------------
