@@ -61,6 +61,8 @@ AGENT_NICENESS = 5
 DETECTORS_SHARE = 0.1  # of all cores: where all detectors take more, they look through fewer tiles
 SHOW_HZ = 4.0
 AGENT_PORT = 7447  # in namespaces each has all ports to itself
+GROUND_PATIENCE_S = 600.0  # s, where a flight counts from take-off: an EKF takes 40 s to let anybody arm
+TAKE_OFF_LOOK_S = 0.25  # s between two looks whether somebody has taken off
 AGENT_RESTART_S = 1.0  # s, as configs/systemd has it on a drone: RestartSec
 AGENT_LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
 
@@ -244,7 +246,7 @@ class _SwarmFlight:
                     *self._following(tasks, ready),
                 ]
                 try:
-                    await self._until(self._seconds + AGENT_LAST_WORDS_S)
+                    await self._until_the_end()
                 finally:
                     for task in background:
                         task.cancel()
@@ -255,7 +257,7 @@ class _SwarmFlight:
             )
         await self._land()
         report = self._report()
-        await asyncio.to_thread(self._recording.end, report)
+        await asyncio.to_thread(self._recording.end, report, self._watch.ends_at)
         return report
 
     def _note_how_to_listen(self, ready: Mapping[str, Any]) -> None:
@@ -476,6 +478,21 @@ class _SwarmFlight:
                 tasks.create_task(restart(drone_id), name=f"restart drone {drone_id}")
 
     # --- in flight ----------------------------------------------------------------------
+
+    async def _until_the_end(self) -> None:
+        """Of what is judged, and a little longer."""
+        watch = self._watch
+        if self._scenario.from_take_off:
+            while math.isinf(watch.ends_at) and watch.t < GROUND_PATIENCE_S:
+                await self._until(watch.t + TAKE_OFF_LOOK_S)
+            if math.isinf(watch.ends_at):
+                self._spectator.print_line(f"no drone took off within {GROUND_PATIENCE_S:g} s")
+                return
+            took_off_at = self._scenario.world.took_off_at
+            self._spectator.print_line(
+                f"{took_off_at:.0f} s: take-off; the flight ends at {watch.ends_at:.0f} s"
+            )
+        await self._until(watch.ends_at + AGENT_LAST_WORDS_S)
 
     async def _until(self, world_time: float) -> None:
         """Wait; raises ProcessDied as soon as a process ends that should not."""

@@ -28,7 +28,8 @@ EVENTS_FILE = "events.json"
 
 @dataclass(slots=True, eq=False)
 class FlightRecording:
-    """Does nothing where no recording is asked for. epoch: of world time, on `clock`; seconds: of the flight."""
+    """Does nothing where no recording is asked for. epoch: of world time, on `clock`; seconds: of the flight, as
+    planned."""
 
     folder: Path | None
     scenario: Scenario
@@ -91,9 +92,9 @@ class FlightRecording:
 
             self._recorder.truth(self.epoch, TruePose(sample.t, drone_id, sample.pose))
 
-    def end(self, report: SwarmReport) -> None:
+    def end(self, report: SwarmReport, ended_at: float) -> None:
         """The truth about those that flew as planned, which would only have cost the agents time in flight, and the
-        verdict."""
+        verdict. ended_at: world time [s]."""
         if self._recorder is None:
             return
         from swarmtrack.runtime.swarm_recorder import TruePose
@@ -101,7 +102,7 @@ class FlightRecording:
         self._recorder.landed()
         for drone_id, drone in self.scenario.world.drones.items():
             # What was told is there already, and as it was told: the judge can then find the same between two samples.
-            for sample in () if isinstance(drone, FollowedDrone) else self._planned(drone):
+            for sample in () if isinstance(drone, FollowedDrone) else self._planned(drone, ended_at):
                 self._recorder.truth(self.epoch, TruePose(sample.t, drone_id, sample.pose))
         self._recorder.verdict(report.as_record())
         self._recorder.close()
@@ -111,8 +112,8 @@ class FlightRecording:
         if self._recorder is not None:
             self._recorder.close()
 
-    def _planned(self, drone: Drawn) -> Iterator[ToldPose]:
-        times = (k / RECORDED_TRUTH_HZ for k in range(int(self.seconds * RECORDED_TRUTH_HZ) + 1))
+    def _planned(self, drone: Drawn, ended_at: float) -> Iterator[ToldPose]:
+        times = (k / RECORDED_TRUTH_HZ for k in range(int(ended_at * RECORDED_TRUTH_HZ) + 1))
         return (ToldPose(t, drone.pose(t)) for t in times)
 
 
