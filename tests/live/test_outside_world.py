@@ -297,25 +297,29 @@ fps = 7.0
 id = 1
 position_m = [0.0, 0.0, -0.09]
 guided = true
+autopilot = "{}"
 [[drone]]
 id = 2
 position_m = [-6.0, 0.0, -0.09]
 guided = true
+autopilot = "{}"
 """
 FORMATION = """
 [formation]
 leader = 1
 height_m = 6.0
-judged_from_s = 40.0
+judged_from_s = 38.0
 slots = { 2 = [-6.0, 0.0, -1.0] }
 """
 
 
-@pytest.mark.long("76 s in formation; the default run flies the script of one drone")
-def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
+@pytest.mark.long("62 s in formation each; the default run flies the script of one drone")
+@pytest.mark.parametrize("autopilots", [("ardupilot", "ardupilot"), ("px4", "px4"), ("ardupilot", "px4")])
+def test_the_pilots_of_the_docs_fly_a_formation(tmp_path, autopilots):
     """docs/examples/formation_pilots.py at the ground stations' ports; two agents of ours, one of which flies."""
-    with others(tmp_path, BEHIND + "[expected]\n", seconds=76.0) as flying:
+    with others(tmp_path, BEHIND.format(*autopilots) + "[expected]\n", seconds=62.0) as flying:
         text = flying.world.read_text().replace("[agents]", f"{FORMATION}\n[agents]")
+        text = text.replace("[world]", '[world]\ncounts_from = "take-off"')
         flying.world.write_text(text)
         links = [flying.drones[n]["ground"] for n in ("1", "2")]
         script = str(DOCS / "examples" / "formation_pilots.py")
@@ -344,6 +348,7 @@ def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
             pilots.kill()
     assert pilots.returncode == 0, complained
     assert told.splitlines()[-1] == "all land"
+    assert "take-off; the flight ends at" in said
     verdict = json.loads((tmp_path / "out.json").read_text())
     formation = verdict["formation"]
     assert formation["followers"] == 1
@@ -356,18 +361,22 @@ def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
 # --- as the docs say ------------------------------------------------------------------------------
 
 
-def test_the_script_of_the_docs_flies_a_simulated_ardupilot(tmp_path):
+@pytest.mark.parametrize(
+    ("drone", "orders"),
+    [("1", ["176", "400", "22", "176"]), pytest.param("2", ["176", "400", "176"], id="px4")],
+)
+def test_the_script_of_the_docs_flies_a_simulated_autopilot(tmp_path, drone, orders):
     """docs/rehearse.md: arm, take off, go, land, by pymavlink on the ground station's port; not its waits."""
     page = (DOCS / "rehearse.md").read_text(encoding="utf-8")
     (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     scenario = (ROOT / "configs" / "scenarios" / "guided.toml").read_text(encoding="utf-8")
     with others(tmp_path, scenario) as flying:
         path = tmp_path / "fly.py"
-        path.write_text(script.replace("time.sleep(8)", "time.sleep(4)"), encoding="utf-8")
-        where = flying.drones["1"]["ground"]
+        path.write_text(script.replace("SECONDS = 8", "SECONDS = 3"), encoding="utf-8")
+        where = flying.drones[drone]["ground"]
         flown = subprocess.run(
-            [sys.executable, str(path), where, "1"],
+            [sys.executable, str(path), where, drone],
             capture_output=True, text=True, timeout=PATIENCE, check=False,
         )  # fmt: skip
     assert flown.returncode == 0, flown.stderr
-    assert flown.stdout.splitlines() == ["176 accepted", "400 accepted", "22 accepted", "176 accepted"]
+    assert flown.stdout.splitlines() == [f"{order} accepted" for order in orders]
