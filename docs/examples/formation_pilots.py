@@ -31,6 +31,7 @@ STREAMS_S = 1.0  # before OFFBOARD, into which PX4 lets nobody who does not stre
 # ArduCopter aligns its heading in the air. PX4's drifts in hover, until it has flown ten metres.
 HOVER_S = {ARDUPILOT: 20.0, PX4: 5.0}
 TAKEN_OFF_M = 1.0
+ARRIVED_M_S = 0.3
 PATIENCE_S = 20.0
 MODE_ATTEMPTS = 5  # a second apart
 CLIMBS_M_S = 1.0  # at least: PX4 takes off at 1.5 m/s, ArduCopter at 2.5
@@ -46,7 +47,7 @@ class Pilot:
 
     def __init__(self, drone: int, link: str) -> None:
         self.drone = drone
-        self.height = 0.0  # m above the point where it was armed
+        self.height, self.climb = 0.0, 0.0  # m above the point where it was armed, m/s upwards
         self._link = mavutil.mavlink_connection(link, source_system=255)
         self._system, self.kind = self._meet(link)
         self._sea = math.nan  # m, its height above mean sea level
@@ -91,6 +92,10 @@ class Pilot:
             self._arm()
             self._begin(TAKE_OFF, 0, 0, 0, 0, 0, 0, height)
 
+    def is_up(self, height: float) -> bool:
+        """Whether its climb is over. How high it is for itself depends on its barometer and its receiver."""
+        return self.height > 0.5 * height and abs(self.climb) < ARRIVED_M_S
+
     def _arm(self) -> None:
         while not self.command(ARM, 1):
             print(f"drone {self.drone}: does not arm yet", flush=True)
@@ -117,7 +122,8 @@ class Pilot:
 
     def _on_message(self, message: Any) -> None:
         if message.get_type() == "GLOBAL_POSITION_INT" and message.get_srcSystem() == self._system:
-            self.height, self._sea = 1e-3 * message.relative_alt, 1e-3 * message.alt
+            self.height, self.climb = 1e-3 * message.relative_alt, -1e-2 * message.vz
+            self._sea = 1e-3 * message.alt
 
     def _beat(self) -> None:
         self._link.mav.heartbeat_send(6, 8, 0, 0, 4)
@@ -148,12 +154,11 @@ class Team:
         for pilot in self.pilots:
             pilot.take_off(heights[pilot.drone])
             self.fly(0.1)
-        ends = time.monotonic() + 5.0 + max(heights.values()) / CLIMBS_M_S
-        while any(pilot.height < 0.95 * heights[pilot.drone] for pilot in self.pilots):
+        ends = time.monotonic() + PATIENCE_S + max(heights.values()) / CLIMBS_M_S
+        while climbing := [pilot.drone for pilot in self.pilots if not pilot.is_up(heights[pilot.drone])]:
             self.fly(0.5)
             if time.monotonic() > ends:
-                low = [pilot.drone for pilot in self.pilots if pilot.height < 0.95 * heights[pilot.drone]]
-                raise SystemExit(f"not at their heights: {low}")
+                raise SystemExit(f"not at their heights: {climbing}")
 
 
 def main() -> None:
