@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import socket
@@ -16,7 +17,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from support.launcher import finish, living, start
+from support.launcher import finish, living, pid_of, start
 from support.pair_scenario import PAIR, is_fair, is_judged
 from support.patience import PATIENCE, until
 from support.places import DOCS, ROOT
@@ -27,8 +28,10 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.score.swarm_verdict import BUSY
 from swarmtrack.recording.reader import recordings_below
-from swarmtrack.runtime.swarm_recorder import TRUTH_TOPIC, read_truth
+from swarmtrack.runtime.swarm_recorder import FLIGHT_TOPIC, TRUTH_TOPIC, read_flight, read_truth
 
+# PX4 stamps its truth by 0.
+MIXED_PAIR = PAIR.replace("drones = 2", 'drones = 2\nautopilots = ["ardupilot", "px4"]')
 LENGTHS = (6, 24)  # s: the second where the machine is so busy that the first flight was over too soon
 
 
@@ -101,10 +104,10 @@ class Flown(NamedTuple):
 
 @pytest.fixture(scope="module")
 def flown(tmp_path_factory) -> Flown:
-    """A recorded flight, in whose midst the simulator of the others stands still for two seconds."""
+    """A recorded flight of an ArduPilot and a PX4, in whose midst their simulator stands still for two seconds."""
     for seconds in LENGTHS:
         folder = tmp_path_factory.mktemp("outside")
-        with others(folder, seconds=seconds) as flying:
+        with others(folder, MIXED_PAIR, seconds=seconds) as flying:
             record = ("--record", str(folder / "recording"), "--json", str(folder / "out.json"))
             process = start(
                 folder, "--world", str(flying.world), "--detector", "oracle", "--seed", "1", *record
@@ -163,6 +166,57 @@ def test_the_recording_is_judged_as_the_flight_was(flown, capsys):
     assert swarmtrack.main(["replay", str(flown.recording)]) == flown.code
     said = capsys.readouterr()
     assert "the verdict is the recorded one" in said.out, said.out + said.err
+
+
+# --- an agent dies --------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory) -> Flown:
+    """A recorded flight, one agent of which somebody kills, then ended by Ctrl-C."""
+    folder = tmp_path_factory.mktemp("killed")
+    with others(folder, seconds=600.0) as flying:
+        recording = folder / "recording"
+        options = ("--world", str(flying.world), "--detector", "oracle", "--record", str(recording))
+        process = start(folder, *options)
+        lines: list[str] = []
+
+        def read_until(*words: str) -> None:
+            while not lines or not any(word in lines[-1] for word in words):
+                lines.append(process.stdout.readline())
+                assert lines[-1], process.communicate()[1]
+
+        read_until("names ", "nothing to judge yet")
+        first = until(lambda: pid_of(folder, "drone-2.toml"), "drone 2 is started")
+        os.kill(first, signal.SIGKILL)
+        read_until("its agent was killed")
+        until(
+            lambda: (pid_of(folder, "drone-2.toml") or first) != first,
+            "the agent of drone 2 is started again",
+        )
+        process.send_signal(signal.SIGINT)
+        lines.append(process.stdout.read())
+        code, _, complained = finish(process)
+    return Flown("".join(lines), complained, code, {}, recording)
+
+
+def test_an_agent_that_somebody_kills_is_said_and_started_again(killed):
+    assert killed.said.count("drone 2: its agent was killed (SIGKILL), and is started again in 1 s") == 1
+    assert "interrupted" in killed.complained
+    assert "ended by itself" not in killed.complained
+    (swarm,) = [recording for recording in recordings_below(killed.recording) if recording.kind == "swarm"]
+    events = [read_flight(message) for message in swarm.messages(frozenset({FLIGHT_TOPIC}))]
+    of_drone_2 = [event for event in events if event.drone_id == 2]
+    assert [event.event for event in of_drone_2] == ["started", "ended", "started"]
+    assert of_drone_2[2].t_s - of_drone_2[1].t_s > 1.0
+
+
+def test_the_truth_of_a_flight_that_was_cut_short_is_recorded(killed):
+    (swarm,) = [recording for recording in recordings_below(killed.recording) if recording.kind == "swarm"]
+    truths = [read_truth(message) for message in swarm.messages(frozenset({TRUTH_TOPIC}))]
+    assert {true.drone_id for true in truths} == {1, 2}
+    # 50 times a second, from before the first frame on.
+    assert len(truths) > 50
 
 
 # --- what goes wrong ------------------------------------------------------------------------------
@@ -243,25 +297,29 @@ fps = 7.0
 id = 1
 position_m = [0.0, 0.0, -0.09]
 guided = true
+autopilot = "{}"
 [[drone]]
 id = 2
 position_m = [-6.0, 0.0, -0.09]
 guided = true
+autopilot = "{}"
 """
 FORMATION = """
 [formation]
 leader = 1
 height_m = 6.0
-judged_from_s = 40.0
+judged_from_s = 38.0
 slots = { 2 = [-6.0, 0.0, -1.0] }
 """
 
 
-@pytest.mark.long("76 s in formation; the default run flies the script of one drone")
-def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
+@pytest.mark.long("62 s in formation each; the default run flies the script of one drone")
+@pytest.mark.parametrize("autopilots", [("ardupilot", "ardupilot"), ("px4", "px4"), ("ardupilot", "px4")])
+def test_the_pilots_of_the_docs_fly_a_formation(tmp_path, autopilots):
     """docs/examples/formation_pilots.py at the ground stations' ports; two agents of ours, one of which flies."""
-    with others(tmp_path, BEHIND + "[expected]\n", seconds=76.0) as flying:
+    with others(tmp_path, BEHIND.format(*autopilots) + "[expected]\n", seconds=62.0) as flying:
         text = flying.world.read_text().replace("[agents]", f"{FORMATION}\n[agents]")
+        text = text.replace("[world]", '[world]\ncounts_from = "take-off"')
         flying.world.write_text(text)
         links = [flying.drones[n]["ground"] for n in ("1", "2")]
         script = str(DOCS / "examples" / "formation_pilots.py")
@@ -290,6 +348,7 @@ def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
             pilots.kill()
     assert pilots.returncode == 0, complained
     assert told.splitlines()[-1] == "all land"
+    assert "take-off; the flight ends at" in said
     verdict = json.loads((tmp_path / "out.json").read_text())
     formation = verdict["formation"]
     assert formation["followers"] == 1
@@ -302,18 +361,22 @@ def test_the_pilots_of_the_docs_fly_a_formation(tmp_path):
 # --- as the docs say ------------------------------------------------------------------------------
 
 
-def test_the_script_of_the_docs_flies_a_simulated_ardupilot(tmp_path):
+@pytest.mark.parametrize(
+    ("drone", "orders"),
+    [("1", ["176", "400", "22", "176"]), pytest.param("2", ["176", "400", "176"], id="px4")],
+)
+def test_the_script_of_the_docs_flies_a_simulated_autopilot(tmp_path, drone, orders):
     """docs/rehearse.md: arm, take off, go, land, by pymavlink on the ground station's port; not its waits."""
     page = (DOCS / "rehearse.md").read_text(encoding="utf-8")
     (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     scenario = (ROOT / "configs" / "scenarios" / "guided.toml").read_text(encoding="utf-8")
     with others(tmp_path, scenario) as flying:
         path = tmp_path / "fly.py"
-        path.write_text(script.replace("time.sleep(8)", "time.sleep(4)"), encoding="utf-8")
-        where = flying.drones["1"]["ground"]
+        path.write_text(script.replace("SECONDS = 8", "SECONDS = 3"), encoding="utf-8")
+        where = flying.drones[drone]["ground"]
         flown = subprocess.run(
-            [sys.executable, str(path), where, "1"],
+            [sys.executable, str(path), where, drone],
             capture_output=True, text=True, timeout=PATIENCE, check=False,
         )  # fmt: skip
     assert flown.returncode == 0, flown.stderr
-    assert flown.stdout.splitlines() == ["176 accepted", "400 accepted", "22 accepted", "176 accepted"]
+    assert flown.stdout.splitlines() == [f"{order} accepted" for order in orders]

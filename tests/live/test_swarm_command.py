@@ -84,6 +84,20 @@ async def test_a_child_that_ends_by_itself_is_told_of_and_one_that_we_end_is_not
     assert not folder.exists()
 
 
+async def test_a_child_that_has_another_in_its_place_is_not_missed(tmp_path):
+    async with Children(tmp_path, keep=True) as children:
+        ended = []
+        sleeps = [sys.executable, "-c", "import time; time.sleep(600)"]
+        child = await children.start("one", sleeps, replace=lambda child: bool(ended.append(child)) or True)
+        os.kill(child.process.pid, signal.SIGKILL)
+        async with asyncio.timeout(PATIENCE):
+            while not ended:  # noqa: ASYNC110 (what is waited for happens in another process)
+                await asyncio.sleep(0.02)
+        assert ended == [child]
+        assert child.killed_by is signal.SIGKILL
+        assert not children.died.done()
+
+
 async def test_a_child_that_does_not_listen_is_killed(tmp_path, monkeypatch):
     monkeypatch.setattr("swarmtrack.lab.swarm.processes.STOP_S", 0.2)
     async with Children(tmp_path, keep=True) as children:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.geodesy import Geodetic
-from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot, SimulatedVehicle
 from swarmtrack.lab.autopilots.senses import DroneSenses
 from swarmtrack.lab.autopilots.truth import DroneTruth
 from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN, SteadyYaw, Trajectory
@@ -30,7 +30,7 @@ def world() -> World:
 class TellingSitl:
     """paused: time stands still, nothing is sent; truth: whether it is a simulator at all."""
 
-    autopilots: list[SimulatedArduPilot]
+    autopilots: list[SimulatedVehicle]
     address: str = ""
     paused: bool = False
     clients: int = 0
@@ -57,11 +57,15 @@ class TellingSitl:
 
 
 def autopilot(
-    system: int = 1, origin: Geodetic = SCENARIO_ORIGIN, *, truth: bool = True
-) -> SimulatedArduPilot:
+    system: int = 1,
+    origin: Geodetic = SCENARIO_ORIGIN,
+    *,
+    truth: bool = True,
+    kind: type[SimulatedVehicle] = SimulatedArduPilot,
+) -> SimulatedVehicle:
     """Switched on now. origin: where its world lies on the Earth."""
     now = SystemClock().now()
-    return SimulatedArduPilot(
+    return kind(
         DroneSenses(world(), 1, now),
         truth=DroneTruth(world(), 1, now, origin) if truth else None,
         system=system,
@@ -70,7 +74,7 @@ def autopilot(
 
 
 @asynccontextmanager
-async def telling_sitl(*autopilots: SimulatedArduPilot, port: int = 0) -> AsyncIterator[TellingSitl]:
+async def telling_sitl(*autopilots: SimulatedVehicle, port: int = 0) -> AsyncIterator[TellingSitl]:
     """Several autopilots: behind a router that forwards them all."""
     sitl = TellingSitl(list(autopilots))
     async with AsyncExitStack() as stack:

@@ -109,9 +109,9 @@ def _sim_state(stamp: float, true: TrueState) -> Any:
 
 
 def _hil_state_quaternion(stamp: float, true: TrueState) -> Any:
-    """PX4's truth, stamped."""
+    """PX4's truth. It has a field for a stamp, which PX4 leaves at 0."""
     return common.MAVLink_hil_state_quaternion_message(
-        _us(stamp),
+        0,
         to_quaternion(true.attitude),
         *true.gyro,
         *_degrees_and_millimetres(true.place),

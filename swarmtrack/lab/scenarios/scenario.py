@@ -270,6 +270,7 @@ class Scenario:
     switched on at world time 0. All cameras of a drone stamp alike. announces: whether the drones tell each other
     anything; where they do not, all know `announced` from a file, and codes_s is when all sway by their codes [s].
     share_hz: how often they tell how they move; None: never. formation: who follows whom by sight; None: nobody.
+    from_take_off: whether `seconds`, and the formation's times, count from when the first drone left the ground.
     ghosts are for detectors that are not shown pictures; the pictures have houses, poles and trees.
     """
 
@@ -298,6 +299,7 @@ class Scenario:
     radio: Radio = PERFECT_RADIO
     faults: tuple[ScenarioFault, ...] = ()
     formation: TeamSlots | None = None
+    from_take_off: bool = False
 
     @property
     def seed(self) -> int:

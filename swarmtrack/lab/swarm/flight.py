@@ -1,8 +1,9 @@
 """One flight of a local swarm: the simulator, one real agent process for each drone, and somebody who watches them.
 
 World time 0 comes once everybody should be there; until then all drones hover. Agents start two or so at a time, late
-ones at their time; those that the scenario kills are killed and started again. If it scripts the radio, each agent
-lives in a network namespace of its own (`swarmtrack/lab/swarm/radio.py`).
+ones at their time; those that the scenario kills are killed and started again. Where others fly, so are those that
+somebody else kills. If a scenario scripts the radio, each agent lives in a network namespace of its own
+(`swarmtrack/lab/swarm/radio.py`).
 """
 
 from __future__ import annotations
@@ -60,6 +61,9 @@ AGENT_NICENESS = 5
 DETECTORS_SHARE = 0.1  # of all cores: where all detectors take more, they look through fewer tiles
 SHOW_HZ = 4.0
 AGENT_PORT = 7447  # in namespaces each has all ports to itself
+GROUND_PATIENCE_S = 600.0  # s, where a flight counts from take-off: an EKF takes 40 s to let anybody arm
+TAKE_OFF_LOOK_S = 0.25  # s between two looks whether somebody has taken off
+AGENT_RESTART_S = 1.0  # s, as configs/systemd has it on a drone: RestartSec
 AGENT_LAST_WORDS_S = 0.3  # s after the end, for what is still on its way
 
 
@@ -195,6 +199,8 @@ class _SwarmFlight:
         self._watch: Watch
         self._configs: Mapping[int, Path] = {}
         self._agents: dict[int, Child] = {}
+        self._killed: asyncio.Queue[int] = asyncio.Queue()
+        """Drones whose agents somebody else has killed, and which are to be started again."""
         self.page: FlightPage | None = None
 
     async def run(self) -> SwarmReport:
@@ -235,11 +241,12 @@ class _SwarmFlight:
                     tasks.create_task(watch.evaluate(), name="judge"),
                     tasks.create_task(self._show(), name="show"),
                     tasks.create_task(self._start_agents(), name="agents"),
+                    tasks.create_task(self._restart_agents(), name="restarts"),
                     *(tasks.create_task(self._play(fault), name=str(fault.kind)) for fault in self._faults()),
                     *self._following(tasks, ready),
                 ]
                 try:
-                    await self._until(self._seconds + AGENT_LAST_WORDS_S)
+                    await self._until_the_end()
                 finally:
                     for task in background:
                         task.cancel()
@@ -250,7 +257,7 @@ class _SwarmFlight:
             )
         await self._land()
         report = self._report()
-        await asyncio.to_thread(self._recording.end, report)
+        await asyncio.to_thread(self._recording.end, report, self._watch.ends_at)
         return report
 
     def _note_how_to_listen(self, ready: Mapping[str, Any]) -> None:
@@ -347,7 +354,8 @@ class _SwarmFlight:
         """Where others fly, or a ground station: a task that hears from the simulator where they are."""
         drones = self._flown.followed
         if drones:
-            yield tasks.create_task(follow_truth(ready["truth"], drones, self._spectator.note), name="follow")
+            follow = follow_truth(ready["truth"], drones, self._spectator.note, self._recording.told)
+            yield tasks.create_task(follow, name="follow")
 
     async def _open_page(self, port: int) -> FlightPage:
         """Where there is a screen, in a browser, too."""
@@ -439,9 +447,52 @@ class _SwarmFlight:
             argv = self._emulator.wrap(drone_id, argv)
         self._watch.started(drone_id)
         self._recording.flown("started", drone_id)
-        self._agents[drone_id] = await self._children.start(f"drone {drone_id}", argv)
+        self._agents[drone_id] = await self._children.start(
+            f"drone {drone_id}", argv, replace=lambda agent: self._replace(drone_id, agent)
+        )
+
+    def _replace(self, drone_id: int, agent: Child) -> bool:
+        """Whether an agent that ended, not by us, is started again. In a rehearsal somebody may kill it, to see what
+        becomes of its drone; one that was never heard is no rehearsal, but a fault of its own."""
+        by = agent.killed_by
+        if self._flown.outside is None or by is None or self._watch.agents[drone_id].boot is None:
+            return False
+        self._spectator.print_line(
+            f"drone {drone_id}: its agent was killed ({by.name}), and is started again in {AGENT_RESTART_S:g} s"
+        )
+        self._watch.ended(drone_id)
+        self._recording.flown("ended", drone_id)
+        self._killed.put_nowait(drone_id)
+        return True
+
+    async def _restart_agents(self) -> None:
+        """Those that somebody else has killed, until cancelled."""
+
+        async def restart(drone_id: int) -> None:
+            await asyncio.sleep(AGENT_RESTART_S)
+            await self._start_agent(drone_id)
+
+        async with asyncio.TaskGroup() as tasks:
+            while True:
+                drone_id = await self._killed.get()
+                tasks.create_task(restart(drone_id), name=f"restart drone {drone_id}")
 
     # --- in flight ----------------------------------------------------------------------
+
+    async def _until_the_end(self) -> None:
+        """Of what is judged, and a little longer."""
+        watch = self._watch
+        if self._scenario.from_take_off:
+            while math.isinf(watch.ends_at) and watch.t < GROUND_PATIENCE_S:
+                await self._until(watch.t + TAKE_OFF_LOOK_S)
+            if math.isinf(watch.ends_at):
+                self._spectator.print_line(f"no drone took off within {GROUND_PATIENCE_S:g} s")
+                return
+            took_off_at = self._scenario.world.took_off_at
+            self._spectator.print_line(
+                f"{took_off_at:.0f} s: take-off; the flight ends at {watch.ends_at:.0f} s"
+            )
+        await self._until(watch.ends_at + AGENT_LAST_WORDS_S)
 
     async def _until(self, world_time: float) -> None:
         """Wait; raises ProcessDied as soon as a process ends that should not."""

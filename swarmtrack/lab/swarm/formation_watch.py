@@ -48,21 +48,27 @@ class FormationWatch:
                 self._known_from.setdefault(pair, t)
 
     def score(
-        self, health: Mapping[int, Iterable[tuple[float, HealthMessage]]], seconds: float
+        self,
+        health: Mapping[int, Iterable[tuple[float, HealthMessage]]],
+        seconds: float,
+        *,
+        counts_from: float = 0.0,
     ) -> FormationScore:
-        """health: by drone, with the world time at which it was heard."""
+        """health: by drone, with the world time at which it was heard. seconds: world time of the end; counts_from:
+        that from which the beginning of the judgement counts."""
         formation = self._formation
+        begins = counts_from + formation.judged_from_s
         times, places = self._flown(seconds)
         team = [formation.leader, *formation.followers]
         positions = np.stack([places[drone_id] for drone_id in team], axis=1)
         ends = min(formation.leader_leaves_s, seconds)
         slots = np.array([formation.slots[drone_id] for drone_id in team])
-        errors = slot_errors(times, positions, slots, formation.judged_from_s, ends)
+        errors = slot_errors(times, positions, slots, begins, ends)
         met = [
             nearest_pair(np.stack([places[observer], places[stranger]], axis=1)[times >= since])
             for (observer, stranger), since in self._known_from.items()
         ]
-        holds = (_holds(health.get(d, ()), formation.judged_from_s, ends) for d in formation.followers)
+        holds = (_holds(health.get(d, ()), begins, ends) for d in formation.followers)
         gone = None
         if math.isfinite(formation.leader_leaves_s):
             left = max([formation.leader_leaves_s, *self._leader_seen.values()])

@@ -13,7 +13,7 @@ import contextlib
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Self
 
@@ -38,10 +38,16 @@ class Child:
         self.ending = False
         """Whether we ended it ourselves."""
 
+    @property
+    def killed_by(self) -> signal.Signals | None:
+        """The signal that ended it; None: none has."""
+        code = self.process.returncode
+        return signal.Signals(-code) if code is not None and code < 0 else None
+
     def describe_end(self) -> str:
         """In words, with the last lines of its log."""
-        code = self.process.returncode
-        how = f"exit code {code}" if code is None or code >= 0 else f"signal {signal.Signals(-code).name}"
+        killed_by = self.killed_by
+        how = f"exit code {self.process.returncode}" if killed_by is None else f"signal {killed_by.name}"
         lines = self.log.read_text(encoding="utf-8", errors="replace").rstrip().splitlines()[-LAST_LINES:]
         said = "\n".join(f"  | {line}" for line in lines) or "  | (its log is empty)"
         return f"{self.name} ended by itself, {how}. Its last lines:\n{said}"
@@ -57,7 +63,7 @@ class Children:
         self._watches: set[asyncio.Task[None]] = set()
         self._running: list[Child] = []
         self.died: asyncio.Future[Child] = asyncio.get_running_loop().create_future()
-        """The first child that ended by itself."""
+        """The first child that ended by itself, and has no other in its place."""
 
     @property
     def pids(self) -> list[int]:
@@ -82,8 +88,17 @@ class Children:
             self._reaper.stdin.close()  # kills what is left, and removes the folder
             await self._reaper.wait()
 
-    async def start(self, name: str, argv: Sequence[str], *, talks: bool = False) -> Child:
-        """talks: its standard input and output are pipes of ours."""
+    async def start(
+        self,
+        name: str,
+        argv: Sequence[str],
+        *,
+        talks: bool = False,
+        replace: Callable[[Child], bool] = lambda child: False,
+    ) -> Child:
+        """talks: its standard input and output are pipes of ours. replace: called where it ends by itself; returns
+        whether another one takes its place, so that `died` does not hold it.
+        """
         log = self._folder / f"{name.replace(' ', '-')}.log"
         with log.open("ab") as file:
             pipe = asyncio.subprocess.PIPE
@@ -97,7 +112,7 @@ class Children:
         self._tell_reaper(f"+{process.pid}")
         child = Child(name, process, log)
         self._running.append(child)
-        watch = asyncio.create_task(self._watch(child), name=f"watch {name}")
+        watch = asyncio.create_task(self._watch(child, replace), name=f"watch {name}")
         self._watches.add(watch)
         watch.add_done_callback(self._watches.discard)
         return child
@@ -121,11 +136,11 @@ class Children:
         """All but one."""
         await asyncio.gather(*(self.end(child) for child in list(self._running) if child is not but))
 
-    async def _watch(self, child: Child) -> None:
+    async def _watch(self, child: Child, replace: Callable[[Child], bool]) -> None:
         await child.process.wait()
         self._tell_reaper(f"-{child.process.pid}")
         self._running.remove(child)
-        if not child.ending and not self.died.done():
+        if not (child.ending or replace(child) or self.died.done()):
             self.died.set_result(child)
 
     def _tell_reaper(self, line: str) -> None:

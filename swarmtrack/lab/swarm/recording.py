@@ -28,7 +28,8 @@ EVENTS_FILE = "events.json"
 
 @dataclass(slots=True, eq=False)
 class FlightRecording:
-    """Does nothing where no recording is asked for. epoch: of world time, on `clock`; seconds: of the flight."""
+    """Does nothing where no recording is asked for. epoch: of world time, on `clock`; seconds: of the flight, as
+    planned."""
 
     folder: Path | None
     scenario: Scenario
@@ -84,28 +85,35 @@ class FlightRecording:
         if self._recorder is not None:
             self._recorder.flown(event, drone_id)
 
-    def end(self, report: SwarmReport) -> None:
-        """The truth, which would only have cost the agents time in flight, and the verdict."""
+    def told(self, drone_id: int, sample: ToldPose) -> None:
+        """The truth about a drone that others fly, as it comes: nobody can compute it afterwards."""
+        if self._recorder is not None:
+            from swarmtrack.runtime.swarm_recorder import TruePose
+
+            self._recorder.truth(self.epoch, TruePose(sample.t, drone_id, sample.pose))
+
+    def end(self, report: SwarmReport, ended_at: float) -> None:
+        """The truth about those that flew as planned, which would only have cost the agents time in flight, and the
+        verdict. ended_at: world time [s]."""
         if self._recorder is None:
             return
         from swarmtrack.runtime.swarm_recorder import TruePose
 
         self._recorder.landed()
         for drone_id, drone in self.scenario.world.drones.items():
-            # What was told is kept as it was told: the judge can then find the same between two samples.
-            samples = drone.samples if isinstance(drone, FollowedDrone) else self._planned(drone)
-            for sample in samples:
+            # What was told is there already, and as it was told: the judge can then find the same between two samples.
+            for sample in () if isinstance(drone, FollowedDrone) else self._planned(drone, ended_at):
                 self._recorder.truth(self.epoch, TruePose(sample.t, drone_id, sample.pose))
         self._recorder.verdict(report.as_record())
         self._recorder.close()
 
     def abandon(self) -> None:
-        """The flight was cut short: what was heard is kept, and there is no verdict."""
+        """The flight was cut short: what was heard and told is kept, and there is no verdict."""
         if self._recorder is not None:
             self._recorder.close()
 
-    def _planned(self, drone: Drawn) -> Iterator[ToldPose]:
-        times = (k / RECORDED_TRUTH_HZ for k in range(int(self.seconds * RECORDED_TRUTH_HZ) + 1))
+    def _planned(self, drone: Drawn, ended_at: float) -> Iterator[ToldPose]:
+        times = (k / RECORDED_TRUTH_HZ for k in range(int(ended_at * RECORDED_TRUTH_HZ) + 1))
         return (ToldPose(t, drone.pose(t)) for t in times)
 
 

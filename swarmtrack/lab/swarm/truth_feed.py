@@ -62,10 +62,15 @@ class Followers:
             self._queues.discard(queue)
 
 
-async def follow_truth(url: str, drones: Mapping[int, FollowedDrone], on_said: Callable[[str], None]) -> None:
+async def follow_truth(
+    url: str,
+    drones: Mapping[int, FollowedDrone],
+    on_said: Callable[[str], None],
+    on_pose: Callable[[int, ToldPose], None] = lambda drone_id, sample: None,
+) -> None:
     """Tell the drones what comes from a simulator's /truth, until cancelled. A connection that is lost is made again;
     what was told meanwhile is not repeated. on_said: is given what the simulator says, and that the connection is lost
-    or back."""
+    or back. on_pose: is given each sample that a drone has taken in."""
     from aiohttp import ClientError, ClientPayloadError
 
     lost = False
@@ -78,7 +83,9 @@ async def follow_truth(url: str, drones: Mapping[int, FollowedDrone], on_said: C
                 if "said" in record:
                     on_said(record["said"])
                 else:
-                    drones[record["id"]].add_pose(record["t_s"], _pose(record))
+                    drone_id, sample = record["id"], ToldPose(record["t_s"], _pose(record))
+                    if drones[drone_id].add_pose(*sample):
+                        on_pose(drone_id, sample)
             reason = "it closed the connection"
         except ClientPayloadError:
             reason = "the connection broke off"

@@ -217,6 +217,11 @@ class TruthLink:
 
     def _silence(self) -> str:
         """In words, from the connection up."""
+        if self._reader.refused is not None:
+            refused_at, why = self._reader.refused
+            if self._clock.now() - refused_at < TRUTH_STALE_S:
+                since = f" for {self.age_s:.1f} s" if self._arrivals else ""
+                return f"brings nothing of use{since}: {why}. No frame is exposed meanwhile"
         if self._arrivals:
             return (
                 f"sent nothing for {self.age_s:.1f} s: is its simulator paused, slow or gone? No frame is exposed "

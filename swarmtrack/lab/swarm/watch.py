@@ -100,9 +100,12 @@ class Watch:
     def __init__(
         self, scenario: Scenario, clock: Clock, hearing: Clock, *, epoch: float, seconds: float
     ) -> None:
-        """Judged is from world time 0 on, for so many seconds, unless `count_from` says otherwise."""
+        """Judged is from world time 0 on, for so many seconds, unless `count_from` says otherwise. Where the scenario
+        counts from take-off, that long after it."""
         self.agents = {drone_id: AgentView() for drone_id in scenario.members}
-        self.scorer = SwarmScorer(scenario.members, start=0.0, end=seconds)
+        self._seconds = seconds
+        self._start, self._end = 0.0, math.inf if scenario.from_take_off else seconds
+        self.scorer = SwarmScorer(scenario.members, start=self._start, end=self._end)
         self._place_errors: list[PlaceError] = []
         self.unreadable = 0
         self.unjudged = 0
@@ -111,7 +114,6 @@ class Watch:
         self._clock = clock
         self._hearing = hearing
         self._epoch = epoch
-        self._start, self._end = 0.0, seconds
         self._pause = math.ceil(2.0 * SCORE_HZ / scenario.tracks_hz) - 1
         """Tenths of a second that an agent may pass over, publishing at its rate."""
         self._truth = SwarmTruth(scenario.world, scenario.cameras)
@@ -152,6 +154,14 @@ class Watch:
         """What is going wrong by plan; a moment is shown for a second."""
         t = self.t
         return [f for f in self._scenario.faults if f.at_s <= t < f.at_s + max(f.seconds, 1.0)]
+
+    @property
+    def ends_at(self) -> float:
+        """World time up to which is judged [s]; inf: that counts from a take-off that has not come yet."""
+        if math.isinf(self._end):
+            self._end = self._scenario.world.took_off_at + self._seconds
+            self.scorer.count_between(self._start, self._end)
+        return self._end
 
     def count_from(self, start: float, seconds: float) -> None:
         """Judge what is flown from this world time on, for so long; before anything was counted."""
@@ -304,9 +314,12 @@ class Watch:
 
     async def judge_the_rest(self) -> None:
         """After landing: whoever fell silent is asked for the tenths until the end, then all is judged."""
+        if math.isinf(self.ends_at):
+            # Nobody took off: the flight is what was told of it.
+            self.count_from(self._start, self._scenario.world.told_until - self._start)
         for drone_id, agent in self.agents.items():
             if agent.boot is not None:
-                self._fill(drone_id, agent, math.floor(self._end * SCORE_HZ))
+                self._fill(drone_id, agent, math.floor(self.ends_at * SCORE_HZ))
         while self._waiting:
             self._judge_next()
             await asyncio.sleep(0)
@@ -338,7 +351,7 @@ class Watch:
 
     def _judge_places(self, statement: Statement) -> None:
         """Of the team; where somebody is who only says that he is of it, nobody knows."""
-        if not self._start <= statement.t < self._end:
+        if not self._start <= statement.t < self.ends_at:
             return
         for place in statement.places:
             if place.drone_id in self.agents:
@@ -395,7 +408,8 @@ class Watch:
         if self._formation is None:
             return None
         health = {drone_id: agent.health for drone_id, agent in self.agents.items()}
-        return self._formation.score(health, self._end)
+        took_off_at = self._scenario.world.took_off_at if self._scenario.from_take_off else 0.0
+        return self._formation.score(health, self.ends_at, counts_from=took_off_at)
 
     def late(self, limits: Limits) -> list[tuple[float, float]]:
         """Spans of world time (from, to) [s] in which something took longer than it may: each second of which an agent
@@ -414,11 +428,11 @@ class Watch:
             )
         ]
         if not self.all_known_s <= limits.all_known_s:
-            known_s = self._end - self._last_start if math.isnan(self.all_known_s) else self.all_known_s
+            known_s = self.ends_at - self._last_start if math.isnan(self.all_known_s) else self.all_known_s
             spans.append((self._last_start, self._last_start + known_s))
         slowest = max(self.scorer.score().time_to_identify_s.values(), default=0.0)
         if not slowest <= limits.time_to_identify_s:
-            spans.append((self._start, self._end if math.isnan(slowest) else self._start + slowest))
+            spans.append((self._start, self.ends_at if math.isnan(slowest) else self._start + slowest))
         return spans
 
     def figures(self) -> tuple[AgentFigures, ...]:

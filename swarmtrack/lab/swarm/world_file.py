@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, Strict, field_validator, model_validator
 
@@ -75,6 +75,10 @@ class WorldSection(Section):
         default=1, description="seed of scenery, paint and noise"
     )
     seconds: Positive = Field(default=60.0, description="length of the flight that is judged, s")
+    counts_from: Literal["start", "take-off"] = Field(
+        default="start",
+        description='beginning of seconds and judged_from_s: "start" of the agents, or the first drone\'s "take-off"',
+    )
 
 
 class WorldCameraSection(Section):
@@ -124,7 +128,7 @@ class WorldFormationSection(TeamFormation):
 
     enabled: Switch = Field(default=True, description="false: the agents of followers only watch")
     judged_from_s: Positive = Field(
-        default=30.0, description="beginning of the judgement of slots, s of the flight"
+        default=30.0, description="beginning of the judgement of slots, s; counts as world.seconds"
     )
 
     def team_slots(self) -> TeamSlots | None:
@@ -348,4 +352,5 @@ def _scenario(name: str, file: WorldFile, seed: int | None, outsiders: dict[int,
         detector=DetectorParameters(**file.detector.parameters),
         strangers=frozenset(drone.id for drone in file.intruder),
         formation=formation,
+        from_take_off=file.world.counts_from == "take-off",
     )

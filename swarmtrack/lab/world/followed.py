@@ -17,6 +17,7 @@ from swarmtrack.messages import Array
 # s between two samples that may be joined. At 4 rad/s², the hardest that a multirotor yaws, a straight line between
 # them is 5 mrad off (a dt² / 8): two pixels at a focal length of 430.
 LONGEST_GAP = 0.1
+TAKEN_OFF_M = 1.0  # above its first sample: more than an estimate of its height wanders on the ground
 FOLLOWED_KEPT_S = 2.0  # s of samples that a drone is followed with, unless it is told to keep more
 
 
@@ -39,6 +40,9 @@ class FollowedDrone:
         # Cameras ask from threads of their own while a sample comes in: this list only grows at its end, and when it
         # is cut, the shorter one replaces it.
         self._samples: list[ToldPose] = []
+        self._ground = math.nan
+        self.took_off_at = math.inf
+        """World time of the first sample that is `TAKEN_OFF_M` above the first one; inf before it."""
 
     @property
     def newest(self) -> float:
@@ -54,6 +58,11 @@ class FollowedDrone:
         """Take in one sample; False where it is no newer than the last one, which then stands."""
         if not t > self.newest:
             return False
+        down = float(pose.position[2])
+        if not self._samples:
+            self._ground = down
+        elif math.isinf(self.took_off_at) and self._ground - down > TAKEN_OFF_M:
+            self.took_off_at = t
         self._samples.append(ToldPose(t, pose))
         oldest = t - self._keep_s
         if self._samples[0].t < oldest - self._keep_s:

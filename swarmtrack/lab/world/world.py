@@ -77,6 +77,12 @@ class World:
         told = (drone.newest for drone in self.drones.values() if isinstance(drone, FollowedDrone))
         return min(told, default=math.inf)
 
+    @property
+    def took_off_at(self) -> float:
+        """When the first drone that others fly left the ground [s]; inf before it."""
+        followed = (drone for drone in self.drones.values() if isinstance(drone, FollowedDrone))
+        return min((drone.took_off_at for drone in followed), default=math.inf)
+
     def flown(self, drone_id: int) -> OwnDrone:
         """The drone, where it is one of ours to fly."""
         drone = self.drones[drone_id]

@@ -39,6 +39,18 @@ def score(scenario: Scenario, seconds: float, said: Any = None, saw: Any = ()) -
     return watch.score(said or {}, seconds)
 
 
+def test_where_times_count_from_a_take_off_the_judgement_begins_as_much_later() -> None:
+    scenario = flown("formation-3", 22.0, late_s=1.0)
+    star = scenario.star
+    assert star is not None
+    watch = FormationWatch(scenario, star)
+    assert watch.score({}, 22.0).error_p95_m == pytest.approx(1.5, abs=0.1)
+    # Nothing is judged of a flight that ends before.
+    assert watch.score({}, 22.0, counts_from=22.0 - star.judged_from_s).error_p95_m != pytest.approx(
+        1.5, abs=0.1
+    )
+
+
 def test_who_is_a_second_late_is_as_far_off_as_the_leader_flies_in_a_second() -> None:
     scenario = flown("formation-3", 22.0, late_s=1.0)
     found = score(scenario, 22.0)

@@ -46,6 +46,18 @@ async def test_poses_reach_the_drone_and_sentences_the_spectator():
     np.testing.assert_allclose(drone.position(1.025), (1.025, 0.0, -2.0))
 
 
+async def test_each_pose_that_is_taken_in_is_passed_on_once():
+    drone, passed = FollowedDrone(), []
+    async with stream_server("/truth", "application/x-ndjson") as server:
+        # The second comes again, as after a connection that was lost.
+        server.script = sending(at(1.0), at(1.05), at(1.05), at(1.1))
+        on_pose = lambda drone_id, sample: passed.append((drone_id, sample.t))  # noqa: E731
+        task = asyncio.create_task(follow_truth(server.url, {1: drone}, lambda text: None, on_pose))
+        await eventually(lambda: drone.newest == 1.1)
+        task.cancel()
+    assert passed == [(1, 1.0), (1, 1.05), (1, 1.1)]
+
+
 async def test_a_connection_that_is_lost_is_said_once_and_made_again():
     drone = FollowedDrone()
     async with stream_server("/truth", "application/x-ndjson") as server:

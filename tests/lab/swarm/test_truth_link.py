@@ -5,17 +5,23 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import itertools
+import math
 import socket
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 
 import numpy as np
+import pytest
+from pymavlink.dialects.v20 import common
 
 from support.patience import eventually
 from support.ports import free_port
 from support.telling_sitl import PATH, autopilot, telling_sitl
-from swarmtrack.clock import SystemClock
+from swarmtrack.autopilot.signing import Codec
+from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.geometry.geodesy import from_ned
+from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
+from swarmtrack.lab.autopilots.px4 import SimulatedPx4
 from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
 from swarmtrack.lab.swarm.truth_link import FATAL, TruthAddress, TruthFault, TruthLink
 from swarmtrack.lab.swarm.truth_messages import TrueSample
@@ -46,8 +52,10 @@ def trouble(link: TruthLink, *words: str) -> Callable[[], bool]:
     return said
 
 
-async def test_a_simulator_that_tells_is_followed_to_a_centimetre():
-    pilot = autopilot()
+@pytest.mark.parametrize("kind", [SimulatedArduPilot, SimulatedPx4])
+async def test_a_simulator_that_tells_is_followed_to_a_centimetre(kind):
+    """PX4 does not stamp its truth."""
+    pilot = autopilot(kind=kind)
     async with telling_sitl(pilot) as sitl, following(sitl.address) as (link, told):
         await eventually(lambda: len(told) > 100, "two seconds of truth")
         assert link.trouble() is None
@@ -144,3 +152,34 @@ async def test_a_simulator_that_is_started_again_is_asked_again():
         sitl.autopilots[:] = [autopilot()]
         count = len(told)
         await eventually(lambda: len(told) > count + 50, "truth flows again")
+
+
+@pytest.mark.parametrize(
+    ("stands_still", "words"),
+    [
+        (True, "brings nothing of use for 1.0 s: its stamp stands still at 2.980 s. No frame is exposed"),
+        (False, "sent nothing for 1.0 s: is its simulator paused, slow or gone?"),
+    ],
+)
+def test_messages_that_say_nothing_new_are_not_taken_for_silence(stands_still, words):
+    clock = ManualClock()
+    link = TruthLink(TruthAddress(7, "udpin:127.0.0.1:14700"), SCENARIO_ORIGIN, clock, lambda sample: None)
+    codec = Codec(clock, 1, 1)
+
+    def send(stamp: float) -> None:
+        place = from_ned(np.zeros(3), SCENARIO_ORIGIN)
+        message = common.MAVLink_hil_state_quaternion_message(
+            round(1e6 * stamp), [1.0, 0, 0, 0], 0, 0, 0, round(1e7 * math.degrees(place.latitude)),
+            round(1e7 * math.degrees(place.longitude)), round(1e3 * place.height), *(0,) * 8,
+        )  # fmt: skip
+        link.received(clock.now(), codec.encode(message))
+
+    link.opened()
+    link.received(
+        0.0, codec.encode(common.MAVLink_heartbeat_message(2, common.MAV_AUTOPILOT_PX4, 0, 0, 0, 3))
+    )
+    for k in range(200):
+        clock.set(0.02 * k)
+        if k < 150 or stands_still:
+            send(min(clock.now(), 2.98))
+    assert trouble(link, words)()

@@ -36,13 +36,24 @@ def attitude(t: float, booted: float = BOOTED) -> ardupilotmega.MAVLink_message:
     return ardupilotmega.MAVLink_attitude_quaternion_message(round(1e3 * (t - booted)), 1.0, 0, 0, 0, 0, 0, 0)
 
 
-def hil(t: float) -> ardupilotmega.MAVLink_message:
+def hil(t: float, stamp: float | None = None) -> ardupilotmega.MAVLink_message:
+    """stamp: None: t."""
+    stamp = t - BOOTED if stamp is None else stamp
     there = from_ned(np.array([3.0, -2.0, -5.0]), ORIGIN)
     q = rotation.to_quaternion(rotation.from_euler(0.0, 0.0, t - BOOTED))
     return ardupilotmega.MAVLink_hil_state_quaternion_message(
-        round(1e6 * (t - BOOTED)), list(q), 0, 0, 0, round(1e7 * math.degrees(there.latitude)),
+        round(1e6 * stamp), list(q), 0, 0, 0, round(1e7 * math.degrees(there.latitude)),
         round(1e7 * math.degrees(there.longitude)), round(1e3 * there.height), 0, 0, 0, 0, 0, 0, 0, 0,
     )  # fmt: skip
+
+
+def unstamped(t: float) -> ardupilotmega.MAVLink_message:
+    """As every PX4 sends it."""
+    return hil(t, stamp=0.0)
+
+
+def standing_still(t: float) -> ardupilotmega.MAVLink_message:
+    return hil(t, stamp=500.0)
 
 
 def said(
@@ -75,7 +86,10 @@ def test_position_and_attitude_are_those_of_the_world():
     assert truth.place.height == pytest.approx(589.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("kinds", [(state, attitude), (attitude, state), (hil,)])
+@pytest.mark.parametrize(
+    "kinds",
+    [(state, attitude), (attitude, state), (hil,), (unstamped, attitude), (attitude, standing_still)],
+)
 def test_with_a_stamp_a_busy_machine_spoils_nothing(kinds):
     jitter = np.random.default_rng(1).exponential(0.008, 500)
     truths = said(
@@ -86,8 +100,9 @@ def test_with_a_stamp_a_busy_machine_spoils_nothing(kinds):
     assert max(abs(error_s(truth)) for truth in truths[50:]) < 2.5e-3
 
 
-def test_without_a_stamp_the_arrival_counts():
-    truths = said(TruthReader(ORIGIN), every_20_ms(BOOTED + 1.0, 2.0), state)
+@pytest.mark.parametrize("kind", [state, unstamped, standing_still])
+def test_without_a_stamp_the_arrival_counts(kind):
+    truths = said(TruthReader(ORIGIN), every_20_ms(BOOTED + 1.0, 2.0), kind)
     assert len(truths) == 100
     assert max(abs(error_s(truth)) for truth in truths) < 1.5e-3
 
@@ -133,6 +148,31 @@ def test_a_clock_that_runs_slow_is_soon_given_up():
     assert max(map(abs, errors[250:])) < 0.002
 
 
+def test_a_stamp_that_moved_and_stands_still_is_no_truth_and_said():
+    reader = TruthReader(ORIGIN)
+    said(reader, every_20_ms(BOOTED + 1.0, 2.0), hil)
+    assert reader.refused is None
+    frozen = [reader.read(hil(BOOTED + 2.98), BOOTED + 3.0 + 0.02 * k) for k in range(50)]
+    assert not any(frozen)
+    assert reader.refused == (pytest.approx(BOOTED + 3.98), "its stamp stands still at 2.980 s")
+    assert said(reader, [BOOTED + 4.0], hil)
+    assert reader.refused is None
+
+
+def test_where_the_truth_has_a_stamp_of_its_own_another_clocks_is_not_heard():
+    """Some simulators stamp by another clock than their autopilot does."""
+    reader = TruthReader(ORIGIN)
+    truths = said(
+        reader,
+        every_20_ms(BOOTED + 1.0, 2.0),
+        lambda t: hil(t, stamp=t - BOOTED + 1000.0),
+        lambda t: attitude(t, booted=BOOTED - 4000.0),
+    )
+    assert len(truths) == 100
+    assert reader.restarts == 0
+    assert max(abs(error_s(truth)) for truth in truths) < 1.5e-3
+
+
 @pytest.mark.parametrize("broken", [(0.0, 0.0, 0.0, 0.0), (math.nan, 0.0, 0.0, 1.0), (5.0, 0.0, 0.0, 0.0)])
 def test_a_quaternion_that_is_none_is_no_truth(broken):
     message = state(BOOTED)
@@ -140,6 +180,7 @@ def test_a_quaternion_that_is_none_is_no_truth(broken):
     reader = TruthReader(ORIGIN)
     assert reader.read(attitude(BOOTED), BOOTED) == []
     assert reader.read(message, BOOTED) == []
+    assert reader.refused == (BOOTED, "its attitude or its position is no number")
 
 
 @pytest.mark.shared

@@ -127,6 +127,15 @@ def test_the_agents_configs_are_those_of_the_world(tmp_path):
     assert first.camera.max_age_s == 0.3
 
 
+def test_a_flight_counts_from_its_take_off_where_the_file_says_so(tmp_path):
+    assert not load_world(written(tmp_path)).scenario.from_take_off
+    text = WORLD.replace("[world]", '[world]\ncounts_from = "take-off"')
+    assert load_world(written(tmp_path, text)).scenario.from_take_off
+    text = WORLD.replace("[world]", '[world]\ncounts_from = "takeoff"')
+    with pytest.raises(ConfigError, match=r"world\.counts_from"):
+        load_world(written(tmp_path, text))
+
+
 def test_a_team_that_shares_its_motion_is_told_so_beside_its_origin(tmp_path):
     world = load_world(written(tmp_path))
     team = configs(tmp_path, world, share_hz=4.0)[0].team

@@ -31,6 +31,22 @@ def turned(yaw: float, north: float = 0.0) -> Pose:
     return Pose(rotation.from_euler(0.0, 0.0, yaw), np.array([north, 0.0, -5.0]))
 
 
+def at_height(height: float) -> Pose:
+    return Pose(np.eye(3), np.array([0.0, 0.0, -height]))
+
+
+def test_a_take_off_is_a_metre_above_the_first_sample_and_kept_when_that_is_forgotten():
+    drone = FollowedDrone(keep_s=1.0)
+    world = World(1, {1: drone, 2: FollowedDrone()})
+    # Its estimate of the ground is 3 m off, and wanders.
+    for k in range(100):
+        drone.add_pose(0.1 * k, at_height(3.0 + 0.1 * (k % 5)))
+    assert math.isinf(world.took_off_at)
+    for k in range(100, 150):
+        drone.add_pose(0.1 * k, at_height(3.0 + 0.2 * (k - 100)))
+    assert world.took_off_at == pytest.approx(10.6)
+
+
 @given(st.floats(0.0, 1.0), st.floats(-3.0, 3.0))
 def test_between_two_samples_the_position_is_linear_and_the_attitude_turns_evenly(share, turn):
     drone = followed((10.0, turned(0.2)), (10.05, turned(0.2 + turn, north=2.0)))
