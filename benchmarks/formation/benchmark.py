@@ -49,6 +49,8 @@ INTRUDED_ENDS_S = 32.0
 # m/s, of who steers at the first follower; and s.
 HOMING_M_S, HOMED_ENDS_S = (1, 2, 3, 4, 5), 36.0
 FAILED_ENDS_S = 52.0
+# A leader that steers by way points turns at once.
+SHARP_TURN_S = 1.0
 # A follower, the first.
 VICTIM = LEADER + 1
 FAULTS = (
@@ -60,8 +62,9 @@ FAULTS = (
     ("reboot", Failure(fault=Fault.REBOOT, victim=VICTIM)),
     ("clock-2-h", Failure(fault=Fault.CLOCK, victim=VICTIM, begins_s=-math.inf)),
     ("leaders-clock-2-h", Failure(fault=Fault.CLOCK, victim=LEADER, begins_s=-math.inf)),
-    ("gps-glitch", Failure(fault=Fault.GLITCH, victim=VICTIM, ends_s=30.0)),
-    ("leaders-gps-glitch", Failure(fault=Fault.GLITCH, victim=LEADER, ends_s=30.0)),
+    ("gps-glitch", Failure(fault=Fault.GLITCH, victim=VICTIM, ends_s=34.0)),
+    ("leaders-gps-glitch", Failure(fault=Fault.GLITCH, victim=LEADER, ends_s=34.0)),
+    ("failsafe-rtl", Failure(fault=Fault.RETURNS, victim=VICTIM)),
     ("drift-height-0.1", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.1)),
     ("drift-height-0.3", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.3)),
     ("not-obeyed", Failure(fault=Fault.PUSHED, victim=VICTIM, speed_m_s=1.0)),
@@ -89,6 +92,9 @@ FLIGHTS = {
         FlightPlan(name="star-5-size", drones=5, share_hz=0.0, size_drone=0.10, sure=0.95),
         FlightPlan(name="star-5-late", drones=5, latency_s=0.3),
         FlightPlan(name="star-5-flat", drones=5, layer_m=0.0),
+        FlightPlan(name="quarter-turn", turn_s=SHARP_TURN_S),
+        FlightPlan(name="wind", wind=True),
+        FlightPlan(name="quarter-turn-wind", turn_s=SHARP_TURN_S, wind=True),
         FlightPlan(name="leader-lost", drones=4, gone_s=GONE_S, ends_s=GONE_ENDS_S),
         _hovering("intruder-1", INTRUDED_ENDS_S + 8.0, intruder_m_s=1.0),
         _hovering("intruder-2", INTRUDED_ENDS_S, intruder_m_s=2.0),
@@ -135,7 +141,10 @@ def fly(name: str, seed: int) -> FlownFormation:
     positions, t = np.array([sample.positions for sample in samples]), np.array([s.t for s in samples])
     team = positions[:, : plan.drones]
     beside = np.array(list(flight.slots.values()))
-    slots = slot_errors(t, team, beside, DEPARTS_S, plan.gone_s)
+    slots, since_engaged = (
+        _of_those_that_follow(plan, slot_errors(t, team, beside, begins, plan.gone_s))
+        for begins in (DEPARTS_S, ENGAGED_S)
+    )
     if plan.intruder_m_s:
         # It meets the first follower. Who has not seen it for a second, because somebody hid it, cannot keep clear.
         met = np.linalg.norm(positions[:, 1] - positions[:, plan.drones], axis=1)
@@ -147,11 +156,20 @@ def fly(name: str, seed: int) -> FlownFormation:
         seed,
         slots,
         sum(why is not Why.FOLLOW for why in whys) / max(len(whys), 1),
-        float(slot_errors(t, team, beside, ENGAGED_S, plan.gone_s).errors.max(initial=0.0)),
+        float(since_engaged.errors.max(initial=0.0)),
         after_it_vanished(t, team[:, 1:], plan.gone_s) if math.isfinite(plan.gone_s) else None,
         _noticed(flight) if plan.failure is not None and plan.failure.fault in WATCHED else None,
         _alarmed(flight),
     )
+
+
+def _of_those_that_follow(plan: FlightPlan, slots: SlotErrors) -> SlotErrors:
+    """Without the errors of a follower that a failsafe takes home: it keeps no slot, and comes near to others."""
+    failure = plan.failure
+    if failure is None or failure.fault is not Fault.RETURNS:
+        return slots
+    k = failure.victim - LEADER - 1
+    return slots._replace(errors=np.delete(slots.errors, k, axis=1), last=np.delete(slots.last, k))
 
 
 def _noticed(flight: FormationFlight) -> Noticed:

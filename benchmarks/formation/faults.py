@@ -15,6 +15,7 @@ import numpy as np
 
 from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, Said, VirtualSwarm
 from swarmtrack.lab.scenarios.scenario import Scenario
+from swarmtrack.lab.world.guided import GuidedDrone
 from swarmtrack.lab.world.response import Triple
 from swarmtrack.lab.world.sensors import EgoParameters
 from swarmtrack.messages import (
@@ -38,6 +39,10 @@ LEASE_S = 2.0
 # s: so long an autopilot boots, and then its pilot waits before engaging it again.
 BOOTS_S, PILOT_WAITS_S = 8.0, 6.0
 CLOCK_OFF_S, GLITCH_M = 7200.0, 10.0
+# s: so long an autopilot's filter resists a glitch of its receiver, and its end; then the position leaps.
+GLITCH_RESISTED_S = 10.0
+# m above the team frame's origin, at which a drone returns; and so near to its start it is back.
+RETURN_HEIGHT_M, RETURNED_M = 15.0, 0.5
 # s on the way, from … to.
 ON_THE_WAY_S = (0.005, 0.06)
 
@@ -49,7 +54,8 @@ class Fault(enum.Enum):
     PARTITION = "nobody hears anybody"
     REBOOT = "its autopilot is silent, and comes back with a new frame; its pilot engages it again"
     CLOCK = "its wall clock is two hours off, from the beginning"
-    GLITCH = "its autopilot's position leaps by ten metres, and back"
+    GLITCH = "its receiver's position leaps by ten metres, and back"
+    RETURNS = "its autopilot returns to the start by a failsafe, and its pilot lets it"
     HEIGHT_DRIFT = "its autopilot believes that it climbs, and flies by that"
     PUSHED = "it flies otherwise than its autopilot is told, level"
 
@@ -67,6 +73,11 @@ class Failure:
     def lasts(self, now: float) -> bool:
         return self.begins_s <= now < self.ends_s
 
+    def is_believed(self, now: float) -> bool:
+        """Whether an autopilot's filter follows a glitch. One that is shorter than it resists is never followed."""
+        is_short = self.ends_s - self.begins_s < GLITCH_RESISTED_S
+        return not is_short and self.lasts(now - GLITCH_RESISTED_S)
+
 
 class FailingSwarm(VirtualSwarm):
     """A virtual swarm with a failure, or none. Call `fail` now and then with the time. options: see `VirtualSwarm`."""
@@ -74,7 +85,7 @@ class FailingSwarm(VirtualSwarm):
     def __init__(self, scenario: Scenario, failure: Failure | None, **options: Any) -> None:
         super().__init__(scenario, **options)
         self.failure = failure
-        self._told_gone = self._told_back = self._rebooted = False
+        self._told_gone = self._told_back = self._rebooted = self._is_high = False
         self._clocks: dict[tuple[int, int], SenderClock] = defaultdict(SenderClock)
         self._picture: Detections | None = None
         if failure is not None and failure.fault is Fault.STUCK_CAMERA:
@@ -138,11 +149,27 @@ class FailingSwarm(VirtualSwarm):
     def engagement_of(self, drone_id: int, engaged_s: float, now: float) -> int:
         """How often its pilot has engaged it by now; 0: it is not."""
         failure = self.failure
+        if self._is(Fault.RETURNS, now, drone_id):
+            return 0
         if failure is None or failure.fault is not Fault.REBOOT or failure.victim != drone_id:
             return int(now >= engaged_s)
         if now < failure.begins_s:
             return int(now >= engaged_s)
         return 2 * int(now >= failure.begins_s + BOOTS_S + PILOT_WAITS_S)
+
+    def way_home(self, drone_id: int, now: float) -> Triple | None:
+        """Where a failsafe steers a drone now [m], NED: up, to above its start, and down. None: it does not."""
+        if not self._is(Fault.RETURNS, now, drone_id):
+            return None
+        drone = self.scenario.world.drones[drone_id]
+        assert isinstance(drone, GuidedDrone)
+        north, east, down = drone.position(now).tolist()
+        start_north, start_east, _ = drone.start
+        self._is_high = self._is_high or -down > RETURN_HEIGHT_M - RETURNED_M
+        if not self._is_high:
+            return north, east, -RETURN_HEIGHT_M
+        is_above_start = math.hypot(north - start_north, east - start_east) < RETURNED_M
+        return start_north, start_east, 0.0 if is_above_start else -RETURN_HEIGHT_M
 
     # ── as the swarm asks ────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -164,7 +191,10 @@ class FailingSwarm(VirtualSwarm):
         drift = self.height_drift(drone_id, pose.t)
         if drift and pose.position is not None:
             pose = dataclasses.replace(pose, position=pose.position - (0.0, 0.0, drift))
-        if not self._is(Fault.GLITCH, pose.t, drone_id):
+        failure = self.failure
+        if failure is None or failure.fault is not Fault.GLITCH or failure.victim != drone_id:
+            return pose
+        if not failure.is_believed(pose.t):
             return pose
         way = self.scenario.world.chance("glitch", drone_id).uniform(-math.pi, math.pi)
         assert pose.position is not None

@@ -53,6 +53,8 @@ SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 2.0, 0.8
 # s, world time: the intruder sets out, so far from the slot that it flies through [m]; and a leader that homes in.
 INTRUDES_S, INTRUDER_FROM_M = 16.0, 14.0
 SPAN_M = 0.5
+# m/s², the drag of a wind of 6 m/s, against which a drone leans by 10°; and m RMS an axis, by which it sways in gusts.
+WIND_DRAG_M_S2, GUSTS_M = 1.7, 0.25
 # Ghosts: m from a follower, in front of it give or take rad; m, how near a drone would be that looks as large; m above
 # the ground; how often the detector fires on each, and with which scores: from … to.
 GHOST_FROM_M, GHOST_BESIDE = (15.0, 50.0), 0.5
@@ -71,7 +73,8 @@ class FlightPlan:
     the slot of the first follower, 0: there is none, while the leader hovers; homes: it steers at that follower,
     wherever it goes; leader_homes_m_s: so does the leader; sure: of names, see the law's parameters.
     ghosts: in front of each follower, parts of houses that look like drones at 3 to 7 m; failure: what breaks;
-    range_finders: all have one that looks down.
+    range_finders: all have one that looks down; turn_s: in which the leader turns a quarter; wind: drones lean into a
+    steady wind, from anywhere, and sway in its gusts.
     """
 
     name: str
@@ -93,6 +96,8 @@ class FlightPlan:
     ghosts: int = 0
     failure: Failure | None = None
     range_finders: bool = False
+    turn_s: float = TURN_S
+    wind: bool = False
 
 
 class FlightSample(NamedTuple):
@@ -160,7 +165,7 @@ class FormationFlight(FailingSwarm):
             return
         self.fail(now)
         if drone_id == LEADER:
-            velocity = leader_velocity(now, self.plan.speed_m_s)
+            velocity = leader_velocity(now, self.plan.speed_m_s, self.plan.turn_s)
             if self.plan.leader_homes_m_s and now >= INTRUDES_S:
                 velocity = self._pursuit(LEADER, self.plan.leader_homes_m_s, now)
             drone.command(now, SetPoint(now, velocity=velocity, yaw_rate=0.0))
@@ -174,8 +179,8 @@ class FormationFlight(FailingSwarm):
         told = self._followers[drone_id].command(onboard, onboard.tracks(now), engagement)
         self._whys[drone_id] = told.setpoint.why
         if not engagement.number:
-            # It stays where its pilot has it.
-            drone.command(now, SetPoint(now))
+            # It stays where its pilot has it, or its failsafe takes it home.
+            drone.command(now, SetPoint(now, position=self.way_home(drone_id, now)))
             return
         flown = self.flown_as_told(drone_id, told.velocity, now)
         drone.command(now, SetPoint(now, velocity=flown, yaw_rate=told.yaw_rate))
@@ -233,18 +238,19 @@ class FormationFlight(FailingSwarm):
             super()._scan(drone_id, camera, index)
 
 
-def leader_velocity(t: float, speed: float) -> Triple:
-    """A square; then north, a quarter turn to the right, and stop, each over two seconds."""
+def leader_velocity(t: float, speed: float, turn_s: float = TURN_S) -> Triple:
+    """A square; then north, a quarter turn to the right within turn_s, and stop."""
     side = math.floor((t - SHOWS_S) / SHOW_S)
     if 0 <= side < 4:
         return SHOW_M_S * (1.0, 0.0, -1.0, 0.0)[side], SHOW_M_S * (0.0, 1.0, 0.0, -1.0)[side], 0.0
     share = min(max((t - DEPARTS_S) / 2.0, 0.0), 1.0) - min(max((t - STOPS_S) / 2.0, 0.0), 1.0)
-    heading = 0.5 * math.pi * min(max((t - TURNS_S) / TURN_S, 0.0), 1.0)
+    heading = 0.5 * math.pi * min(max((t - TURNS_S) / turn_s, 0.0), 1.0)
     return speed * share * math.cos(heading), speed * share * math.sin(heading), 0.0
 
 
 def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenario:
     chance = World(seed, {}).chance
+    wind_from = float(chance("wind").uniform(-math.pi, math.pi))
     drones, airframes = {}, {}
     for drone, slot in slots.items():
         off = chance("beside its slot", drone).standard_normal(3) * (1.0, 1.0, 0.4)
@@ -252,8 +258,14 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
             off = np.zeros(3)
         north, east, down = (np.array(slot) + off - (0.0, 0.0, HEIGHT_M)).tolist()
         yaw = math.atan2(-slot[1], -slot[0]) if drone != LEADER else 0.0
-        drift = wander(chance("wander", drone), DRIFT_M)
-        drones[drone] = GuidedDrone((north, east, down), yaw, ARDUPILOT_RESPONSE, drift, hovers=True)
+        drift = wander(chance("wander", drone), GUSTS_M if plan.wind else DRIFT_M)
+        drones[drone] = flown = GuidedDrone((north, east, down), yaw, ARDUPILOT_RESPONSE, drift, hovers=True)
+        if plan.wind:
+            flown.against_wind = (
+                WIND_DRAG_M_S2 * math.cos(wind_from),
+                WIND_DRAG_M_S2 * math.sin(wind_from),
+                0.0,
+            )
         airframes[drone] = Airframe().scaled(
             SPAN_M * math.exp(plan.size_drone * chance("size", drone).standard_normal())
         )

@@ -10,6 +10,7 @@ from swarmtrack.benchmarks.formation.faults import (
     BOOTS_S,
     CLOCK_OFF_S,
     GLITCH_M,
+    RETURN_HEIGHT_M,
     FailingSwarm,
     Failure,
     Fault,
@@ -152,15 +153,30 @@ def test_a_clock_that_is_hours_off_costs_the_time_on_the_way_and_no_more(victim)
 
 
 def test_a_glitch_is_a_leap_of_the_own_place_and_back_and_its_drone_holds():
-    flight = Told(Fault.GLITCH, 2)
+    # The filter resists for ten seconds, and for ten more after its end.
+    flight = Told(Fault.GLITCH, 2, begins_s=-5.0, lasts_s=0.5, ends_s=17.0)
     whys = {round(sample.t, 1): sample.whys[0] for sample in flight.run()}
     assert whys[4.8] is not Why.LEAP
-    assert {whys[t] for t in (5.3, 5.8, 6.3, 7.8)} == {Why.LEAP}
+    assert {whys[t] for t in (5.3, 5.8, 6.3, 7.8, 15.8, 16.8)} == {Why.LEAP}
     poses = [event for _, event in flight.heard[2] if isinstance(event, EgoPose)]
     leaps = [
         (b.t, np.linalg.norm(b.position - a.position))
         for a, b in itertools.pairwise(poses)
         if np.linalg.norm(b.position - a.position) > 1.0
     ]
-    assert [t for t, _ in leaps] == pytest.approx([5.0, 6.0], abs=0.021)
+    assert [t for t, _ in leaps] == pytest.approx([5.0, 15.5], abs=0.021)
     assert [way for _, way in leaps] == pytest.approx([GLITCH_M] * 2, abs=0.2)
+
+
+def test_a_glitch_that_is_shorter_than_a_filter_resists_changes_nothing():
+    flight = Told(Fault.GLITCH, 2, begins_s=-5.0, lasts_s=-2.0, ends_s=7.0)
+    assert Why.LEAP not in {why for sample in flight.run() for why in sample.whys}
+
+
+def test_a_failsafe_takes_a_follower_up_and_home_and_it_is_engaged_no_more():
+    flight = Told(Fault.RETURNS, 2, ends_s=30.0, lasts_s=100.0)
+    samples = flight.run()
+    heights = [-sample.positions[1, 2] for sample in samples]
+    assert max(heights) == pytest.approx(RETURN_HEIGHT_M, abs=1.0)
+    assert heights[-1] == pytest.approx(0.0, abs=0.1)
+    assert {sample.whys[0] for sample in samples if sample.t > 5.2} == {Why.NOT_ENGAGED}

@@ -15,7 +15,15 @@ from collections.abc import Callable
 import numpy as np
 
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.lab.world.response import RESPONSE_STEP_S, Response, SetPoint, Triple, advance, at_rest
+from swarmtrack.lab.world.response import (
+    NO_MOTION,
+    RESPONSE_STEP_S,
+    Response,
+    SetPoint,
+    Triple,
+    advance,
+    at_rest,
+)
 from swarmtrack.lab.world.response import Flown as FlownState
 from swarmtrack.lab.world.trajectory import GRAVITY, Motion, Path, attitude_and_rate
 from swarmtrack.messages import Array
@@ -46,6 +54,8 @@ class GuidedDrone:
         self.touched_s = -math.inf
         """World time of its last touch-down."""
         self.heading_error: Callable[[float], float] = lambda t: 0.0
+        self.against_wind: Triple = NO_MOTION
+        """m/s²: the thrust that a steady wind's drag takes. The drone leans into the wind by it."""
         self._response = response
         self._sway = sway
         self._told = SetPoint(math.inf)
@@ -105,8 +115,9 @@ class GuidedDrone:
             for now, extra in zip((state.position, state.velocity, state.acceleration), sway, strict=False)
         )
         # It tilts for its thrust and for its sway; what the drag takes needs no tilt.
+        thrust = np.add(state.thrust, self.against_wind)
         attitude, rate = attitude_and_rate(
-            np.add(state.thrust, sway[2]), np.add(state.thrust_jerk, sway[3]), state.yaw, state.yaw_rate
+            np.add(thrust, sway[2]), np.add(state.thrust_jerk, sway[3]), state.yaw, state.yaw_rate
         )
         return Motion(position, velocity, attitude, rate, attitude.T @ (acceleration - GRAVITY))
 
