@@ -91,7 +91,7 @@ class EgoPose:
     world_from_body (3, 3). position_sigma [m]: standard deviation north and east; vertical_sigma [m]: down, None where
     it is the same. attitude_sigma [rad]: of the tilt, per axis; how well the heading is known, `EgoHistory` says.
     ground [m]: how far below the drone its range finder has just measured the ground, or what is there; None with most
-    poses.
+    poses. t_sigma [s]: standard deviation of t, by the autopilot's clock: for minutes the error is the same.
     """
 
     t: float
@@ -101,6 +101,7 @@ class EgoPose:
     attitude_sigma: float = ASSUMED_TILT
     vertical_sigma: float | None = None
     ground: float | None = None
+    t_sigma: float = 0.0
 
     def __post_init__(self) -> None:
         if self.position is not None:

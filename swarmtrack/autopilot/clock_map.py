@@ -38,6 +38,7 @@ from swarmtrack.autopilot.limits import (
     CLOCK_MAX_SLEW,
     CLOCK_RESYNC_S,
     CLOCK_SKEW_BASELINE_S,
+    CLOCK_STEPS_LAST_S,
     CLOCK_UNKNOWN_LATENCY_S,
     CLOCK_UNSTEADY_RESTARTS,
     CLOCK_WINDOW_BUCKETS,
@@ -132,6 +133,7 @@ class ClockMap:
         self._newest = -math.inf
         self._past: deque[Exchange] = deque(maxlen=CLOCK_EXCHANGES_KEPT)
         self._restarted: deque[float] = deque(maxlen=CLOCK_UNSTEADY_RESTARTS)
+        self._step_variance, self._stepped_at = 0.0, 0.0
         self._restart()
 
     def _restart(self) -> None:
@@ -152,7 +154,8 @@ class ClockMap:
         exchange = Exchange(stamp, sent - stamp, received - stamp)
         self._bound_above(stamp, received)
         self._past.append(exchange)
-        if exchange.earliest > self._line(stamp) + CLOCK_CROSSING_S or self._fell_behind(exchange):
+        before = self._line(stamp)
+        if exchange.earliest > before + CLOCK_CROSSING_S or self._fell_behind(exchange):
             self.restarts += 1
             self._restarted.append(stamp)
             explained = self._explain()
@@ -160,6 +163,10 @@ class ClockMap:
             for known in tuple(self._past) if explained else (exchange,):
                 self._bound_above(known.stamp, known.stamp + known.latest)
                 self._bound_below(known)
+            if explained:
+                self._step_variance = 0.0
+            else:
+                self._add_step(stamp, self._line(stamp) - before)
         else:
             self._bound_below(exchange)
         if self._exchanges >= CLOCK_LEAST_EXCHANGES:
@@ -167,6 +174,16 @@ class ClockMap:
             self._latency = max(0.0, width) / 2
             # Uniform between the bounds, plus how far the envelope itself is uncertain.
             self.sigma = self._sigma(width / math.sqrt(12))
+
+    def _add_step(self, stamp: float, step: float) -> None:
+        """A clock that has stepped by so much [s] may do so again before an exchange shows it."""
+        if not math.isfinite(step):
+            return
+        self._step_variance = self._step_variance_at(stamp) + step**2
+        self._stepped_at = stamp
+
+    def _step_variance_at(self, stamp: float) -> float:
+        return self._step_variance * math.exp(-max(stamp - self._stepped_at, 0.0) / CLOCK_STEPS_LAST_S)
 
     @property
     def in_words(self) -> str:
@@ -257,7 +274,8 @@ class ClockMap:
 
     def _sigma(self, latency: float) -> float:
         """latency: standard deviation of what it may be wrong by."""
-        return math.hypot(latency, self._scatter(), CLOCK_CROSSING_S if self._is_unsteady else 0.0)
+        stepped = math.sqrt(self._step_variance_at(self._newest))
+        return math.hypot(latency, self._scatter(), stepped, CLOCK_CROSSING_S if self._is_unsteady else 0.0)
 
     def _scatter(self) -> float:
         """Median height of the seconds' fastest messages above the line [s]: what is left of the jitter."""

@@ -166,6 +166,8 @@ CLOCK_EXCHANGES_KEPT = 20
 CLOCK_LINE_SLACKS_S = (0.0, 0.5e-3, 1e-3, 2e-3, 5e-3)
 # Restarts within the window: the clock neither keeps time nor errs by a constant rate.
 CLOCK_UNSTEADY_RESTARTS = 3
+# A step of the clock, which no drift explains, is a part of its standard deviation for so long.
+CLOCK_STEPS_LAST_S = 20.0
 # Standard deviation to own up to without TIMESYNC.
 CLOCK_UNKNOWN_LATENCY_S = 0.005
 

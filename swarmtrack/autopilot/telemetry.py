@@ -479,7 +479,15 @@ class Telemetry:
         sigma, vertical = (LOCAL_POSITION_SIGMA_M, None) if gps is None else (gps.sigma, gps.vertical_sigma)
         ground = self._ground(t, float(attitude[2, 2]))
         self.listener.on_pose(
-            EgoPose(ours, where, attitude, position_sigma=sigma, vertical_sigma=vertical, ground=ground)
+            EgoPose(
+                ours,
+                where,
+                attitude,
+                position_sigma=sigma,
+                vertical_sigma=vertical,
+                ground=ground,
+                t_sigma=clock_map.sigma,
+            )
         )
 
     def _refuse_attitude(self, t: float, message_id: int) -> None:

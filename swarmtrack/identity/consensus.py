@@ -48,12 +48,15 @@ class Disagreement(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnView:
-    """What this drone saw in one scan: position (3,) m of its camera, and its sightings by drone."""
+    """What this drone saw in one scan: position (3,) m of its camera, and its sightings by drone. t_sigma [s]: of when
+    it was there, by its autopilot's clock.
+    """
 
     t: float
     position: Array
     position_sigma: float
     sightings: dict[int, Sighting]
+    t_sigma: float = 0.0
 
     @classmethod
     def of(
@@ -68,7 +71,7 @@ class OwnView:
             if observer.attitude_sigma < LOST_ATTITUDE
         }
         position = observer.position + observer.world_from_body @ body_from_camera.position
-        return cls(observer.t, position, observer.position_sigma, sightings)
+        return cls(observer.t, position, observer.position_sigma, sightings, observer.t_sigma)
 
     def report(self, drone_id: int, boot: str, sequence: int, known: Iterable[int]) -> SightingReport:
         """The same as its team hears it. known: whose announcements the drone has."""
@@ -77,7 +80,7 @@ class OwnView:
             boot=boot,
             sequence=sequence,
             t=self.t,
-            t_sigma=0.0,
+            t_sigma=self.t_sigma,
             position=self.position,
             position_sigma=self.position_sigma,
             known=tuple(sorted(known)),

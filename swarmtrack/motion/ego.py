@@ -35,6 +35,7 @@ class TeamPose:
     """This drone in the team frame at t: position (3,) m, world_from_body (3, 3).
 
     position_cov (3, 3) m²; attitude_cov (3, 3) rad², of a small turn about the team's axes: the third is the heading's.
+    t_sigma [s]: standard deviation of when it was there.
     """
 
     t: float
@@ -42,6 +43,7 @@ class TeamPose:
     world_from_body: Array
     position_cov: Array
     attitude_cov: Array
+    t_sigma: float = 0.0
 
     @property
     def pose(self) -> Pose:
@@ -162,7 +164,7 @@ class EgoHistory:
         position, cov = place
         tilt, heading = pose.attitude_sigma**2, self.heading.sigma(pose.t) ** 2
         turned = turn @ pose.world_from_body
-        placed = TeamPose(pose.t, position, turned, cov, _diagonal(tilt, tilt, heading))
+        placed = TeamPose(pose.t, position, turned, cov, _diagonal(tilt, tilt, heading), pose.t_sigma)
         if not self._poses or pose.t >= self._poses[-1].t:
             self._poses.append(placed)
         else:
@@ -235,6 +237,7 @@ class EgoHistory:
                 nearest.world_from_body,
                 nearest.position_cov + (EGO_SPEED_SIGMA_M_S * age) ** 2 * _EYE,
                 nearest.attitude_cov + (EGO_TURN_RATE_SIGMA_RAD_S * age) ** 2 * _EYE,
+                nearest.t_sigma,
             )
         before, after = self._poses[k - 1], self._poses[k]
         fraction = (t - before.t) / (after.t - before.t) if after.t > before.t else 1.0
@@ -245,6 +248,7 @@ class EgoHistory:
             before.world_from_body @ rotation.exp(fraction * turn),
             max(before.position_cov, after.position_cov, key=np.trace),
             max(before.attitude_cov, after.attitude_cov, key=np.trace),
+            max(before.t_sigma, after.t_sigma),
         )
 
     def steady(self, t: float) -> TeamPose | None:
@@ -278,7 +282,7 @@ class EgoHistory:
             boot,
             sequence,
             t=t,
-            t_sigma=0.0,
+            t_sigma=newest.t_sigma,
             displacement=place - self._first_place,
             displacement_cov=newest.position_cov,
             velocity=velocity,

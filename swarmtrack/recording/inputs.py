@@ -102,6 +102,7 @@ FORMS: tuple[Form, ...] = (
             Entry("attitude_sigma", "attitude_sigma_rad"),
             Entry("vertical_sigma", "vertical_sigma_m", added=True),
             Entry("ground", "ground_m", added=True, sparse=True),
+            Entry("t_sigma", "t_sigma_s", added=True),
         ),
     ),
     Form(

@@ -335,7 +335,7 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
     ]
     missed = {track.id: track.coasting_since for track in shown if track.coasting_since is not None}
     if not detected:
-        return BearingScan(t, view.number, view.team_from_camera.position, {}, missed)
+        return BearingScan(t, view.number, view.team_from_camera.position, {}, missed, view.observer.t_sigma)
     pixel = np.array([track.mean[::2] for track in detected])
     focal = view.camera.per_radian(pixel)[..., 0]
     ray = view.rays(pixel)
@@ -356,4 +356,4 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
         )
         for i, track in enumerate(detected)
     }
-    return BearingScan(t, view.number, camera, bearings, missed)
+    return BearingScan(t, view.number, camera, bearings, missed, view.observer.t_sigma)

@@ -63,7 +63,8 @@ _SCANS_KEPT_S = 2.5
 class BearingScan(NamedTuple):
     """The tracks that one camera detected at t [s], from origin (3,) m.
 
-    bearings: by track; missed: the tracks that it shows and did not detect, by since when [s].
+    bearings: by track; missed: the tracks that it shows and did not detect, by since when [s]. t_sigma [s]: of when
+    this drone was at the origin, by its autopilot's clock.
     """
 
     t: float
@@ -71,6 +72,7 @@ class BearingScan(NamedTuple):
     origin: Array
     bearings: Mapping[int, Bearing]
     missed: Mapping[int, float]
+    t_sigma: float = 0.0
 
     def turned(self, forward: Array) -> BearingScan:
         """The same in axes that have turned: forward (3, 3) takes directions along."""
@@ -334,7 +336,7 @@ class TeamPosterior:
         compared = Compared(
             columns=np.array([mate.column for mate, _ in near]),
             place=np.array([said.place - mate.start for mate, said in near]),
-            deviation=Deviation(*np.array([said[1:] for _, said in near]).T),
+            deviation=self._deviation(scan, [said for _, said in near]),
             log_span=np.array([mate.log_span for mate, _ in near]),
             span_variance=np.array([mate.span_variance for mate, _ in near]),
             is_near=np.array([mate.knows_start for mate, _ in near]),
@@ -349,6 +351,19 @@ class TeamPosterior:
             track = self._tracks[id]
             of = compared.only(knows | ~track.compared[compared.columns])
             track.add(scan.bearings[id], of, scan.bearings[id].camera - self._start)
+
+    def _deviation(self, scan: BearingScan, said: Sequence[SaidPlace]) -> Deviation:
+        """How far teammates may be from where they say, and this drone along its way: by their clocks and its own."""
+        deviation = Deviation(*np.array([place[1:] for place in said]).T)
+        before = next((kept for kept in reversed(self._scans[scan.camera]) if kept.t < scan.t), None)
+        if before is None or not scan.t_sigma:
+            return deviation
+        late = scan.t_sigma * float(np.linalg.norm(scan.origin - before.origin)) / (scan.t - before.t)
+        lasts = deviation.sigma > 0.0
+        return deviation._replace(
+            sigma=np.where(lasts, np.hypot(deviation.sigma, late), 0.0),
+            white=deviation.white + np.where(lasts, 0.0, late**2),
+        )
 
     def _compare_undetected(self, scan: BearingScan) -> None:
         """Compare tracks that a scan did not detect with a teammate that has just come, by their last bearings: else it

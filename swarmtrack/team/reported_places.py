@@ -114,8 +114,10 @@ class ReportedPlaces:
 
 
 def _said(place: Array, white_sigma: float, report: Report) -> SaidPlace:
+    speed = 0.0 if report.velocity is None else float(np.linalg.norm(report.velocity))
+    late = report.t_sigma * speed
     if not report.measured or report.velocity is None:
-        return SaidPlace(place, 0.0, 1.0, REPORTED_PLACE_SIGMA_M**2 + white_sigma**2)
+        return SaidPlace(place, 0.0, 1.0, REPORTED_PLACE_SIGMA_M**2 + white_sigma**2 + late**2)
     sigma, bandwidth = MOTION_DEVIATION
-    sigma = math.hypot(sigma, report.t_sigma * float(np.linalg.norm(report.velocity)))
+    sigma = math.hypot(sigma, late)
     return SaidPlace(place, sigma, bandwidth, MOTION_WHITE_M**2 + white_sigma**2)

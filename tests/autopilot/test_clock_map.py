@@ -173,6 +173,35 @@ def test_a_clock_that_no_rate_explains_is_said_and_its_sigma_owns_up():
     assert clock_map.sigma >= CLOCK_CROSSING_S
 
 
+def stalling(seed):
+    """The rate of a simulator on a machine that is too busy: every other second or so it stalls, and catches up."""
+    rng = np.random.default_rng(seed)
+    spans = [(begin + rng.uniform(0.0, 1.5), rng.uniform(0.05, 0.4)) for begin in np.arange(10.0, 40.0, 2.0)]
+
+    def rate(t):
+        rates = np.ones_like(t)
+        for begin, lasts in spans:
+            rates[(t >= begin) & (t < begin + lasts)] = 0.2
+            rates[(t >= begin + lasts) & (t < begin + 1.8 * lasts)] = 2.0
+        return rates
+
+    return rate
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_sigma_of_a_clock_that_stalls_is_as_large_as_its_steps(seed):
+    clock_map, sigmas = ClockMap(), []
+
+    observe = clock_map.observe
+    clock_map.observe = lambda stamp, arrival: (observe(stamp, arrival), sigmas.append(clock_map.sigma))
+    ours, errors, _ = lockstep(clock_map, stalling(seed), 40.0)
+    busy = ours > 14.0
+    off = np.abs(errors[busy]) / np.array(sigmas)[busy]
+    assert np.abs(errors[busy]).max() > 0.1
+    assert np.mean(off > 3.0) < 0.08
+    assert np.mean(np.abs(errors[busy]) > 3.0 * CLOCK_CROSSING_S) > np.mean(off > 3.0)
+
+
 @pytest.mark.parametrize("step", [0.03, 0.05, 0.3, -0.03, -0.05, -0.3])
 @pytest.mark.parametrize("at", [3.0, 6.0, 20.0])
 def test_a_step_is_no_drift(step, at):

@@ -73,3 +73,11 @@ def test_without_a_place_or_alone_a_pose_is_as_steady_as_it_is():
     assert ego.steady(0.0) is None
     ego.append(EgoPose(t=0.0, position=np.array([1.0, 2.0, 3.0]), world_from_body=np.eye(3)))
     assert ego.steady(0.01).position == pytest.approx(ego.at(0.01).position)
+
+
+def test_what_it_reports_is_as_late_as_its_autopilots_clock_may_be():
+    ego = EgoHistory(origin=np.zeros(3))
+    for k in range(51):
+        ego.append(EgoPose(k / HZ, np.array([k / HZ, 0.0, 0.0]), np.eye(3), t_sigma=0.02 if k < 50 else 0.1))
+    assert ego.moved(1, "0000000a", 1).t_sigma == 0.1
+    assert [ego.at(t).t_sigma for t in (0.5, 0.505, 0.995, 1.2)] == [0.02, 0.02, 0.1, 0.1]

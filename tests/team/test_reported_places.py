@@ -57,3 +57,13 @@ def test_who_says_how_it_moves_is_nearer_to_that_and_off_smoothly():
 def test_a_report_that_is_not_newer_is_dropped():
     made = path((1.0, 1.0, None), (1.0, 9.0, None), (0.5, 9.0, None))
     assert made.last.place[0] == 1.0
+
+
+def test_a_place_that_may_be_late_is_vague_along_with_its_speed():
+    def variance(speed, t_sigma):
+        made = ReportedPlaces()
+        made.append(Report(0.0, np.zeros(3), np.array([speed, 0.0, 0.0]), t_sigma=t_sigma))
+        return made.at(0.0).white
+
+    assert variance(3.0, 0.1) == pytest.approx(REPORTED_PLACE_SIGMA_M**2 + 0.3**2)
+    assert variance(0.0, 0.1) == variance(3.0, 0.0)
