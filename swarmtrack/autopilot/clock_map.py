@@ -154,8 +154,8 @@ class ClockMap:
         exchange = Exchange(stamp, sent - stamp, received - stamp)
         self._bound_above(stamp, received)
         self._past.append(exchange)
-        before = self._line(stamp)
-        if exchange.earliest > before + CLOCK_CROSSING_S or self._fell_behind(exchange):
+        crossing = self._crossing(exchange)
+        if crossing > CLOCK_CROSSING_S:
             self.restarts += 1
             self._restarted.append(stamp)
             explained = self._explain()
@@ -166,7 +166,7 @@ class ClockMap:
             if explained:
                 self._step_variance = 0.0
             else:
-                self._add_step(stamp, self._line(stamp) - before)
+                self._add_step(stamp, crossing)
         else:
             self._bound_below(exchange)
         if self._exchanges >= CLOCK_LEAST_EXCHANGES:
@@ -176,9 +176,7 @@ class ClockMap:
             self.sigma = self._sigma(width / math.sqrt(12))
 
     def _add_step(self, stamp: float, step: float) -> None:
-        """A clock that has stepped by so much [s] may do so again before an exchange shows it."""
-        if not math.isfinite(step):
-            return
+        """A clock that has stepped by so much [s], at least, may do so again before an exchange shows it."""
         self._step_variance = self._step_variance_at(stamp) + step**2
         self._stepped_at = stamp
 
@@ -204,13 +202,16 @@ class ClockMap:
         )
         return often and not self.drift
 
-    def _fell_behind(self, new: Exchange) -> bool:
-        """Whether this exchange ended before an earlier one allows, for a clock that keeps its drift."""
+    def _crossing(self, new: Exchange) -> float:
+        """By how much [s] this exchange began after the line allows, or ended before an earlier one does, for a clock
+        that keeps its drift: the least by which the clock has stepped."""
         fastest = self.drift - CLOCK_MAX_SKEW
-        return any(
-            new.latest + CLOCK_CROSSING_S < old.earliest + fastest * (new.stamp - old.stamp)
+        ahead = (
+            old.earliest + fastest * (new.stamp - old.stamp) - new.latest
             for old in self._past
+            if old is not new
         )
+        return max(new.earliest - self._line(new.stamp), *ahead, -math.inf)
 
     def _explain(self) -> bool:
         """After bounds have crossed: find the drift that explains it. False where it was a step, or is not known."""
