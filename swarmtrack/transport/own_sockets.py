@@ -6,7 +6,7 @@ import contextlib
 import os
 import socket
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import Final
 
@@ -17,11 +17,7 @@ def own_streams() -> Iterator[socket.socket]:
     """A duplicate of each TCP socket, for the duration of the iteration. None where the system does not list
     descriptors.
     """
-    try:
-        descriptors = [int(name) for name in os.listdir(DESCRIPTORS)]
-    except OSError:
-        return
-    for descriptor in descriptors:
+    for descriptor in _descriptors():
         with contextlib.suppress(OSError):  # it is gone
             copy = _copy(descriptor)
             if copy is None:
@@ -29,6 +25,42 @@ def own_streams() -> Iterator[socket.socket]:
             with copy:
                 if copy.type == socket.SOCK_STREAM and copy.family in (socket.AF_INET, socket.AF_INET6):
                     yield copy
+
+
+def cut_off(ports: Set[int]) -> int:
+    """Take from this process every IP socket with one of these ports at either end: the ports become free, and links
+    end at their other ends as well. Returns how many there were.
+
+    An unconnected socket takes the place of each, so the descriptors stay valid for their owner, which may close them.
+    """
+    count = 0
+    for descriptor in _descriptors():
+        with contextlib.suppress(OSError):  # it is gone
+            copy = _copy(descriptor)
+            if copy is None:
+                continue
+            with copy:
+                if copy.family not in (socket.AF_INET, socket.AF_INET6) or not ports & _ports_of(copy):
+                    continue
+                with socket.socket(copy.family, copy.type) as unconnected:
+                    os.dup2(unconnected.fileno(), descriptor, inheritable=False)
+            count += 1
+    return count
+
+
+def _ports_of(own: socket.socket) -> set[int]:
+    ports = {own.getsockname()[1]}
+    with contextlib.suppress(OSError):  # it is not connected
+        ports.add(own.getpeername()[1])
+    return ports
+
+
+def _descriptors() -> list[int]:
+    """Of this process; none where the system does not list them."""
+    try:
+        return [int(name) for name in os.listdir(DESCRIPTORS)]
+    except OSError:
+        return []
 
 
 def _copy(descriptor: int) -> socket.socket | None:

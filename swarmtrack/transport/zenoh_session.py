@@ -27,8 +27,9 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.limits import SESSION_ANSWER_S, SESSION_CLOSE_S, SESSION_OPEN_S
 from swarmtrack.transport.links import EndpointTemplate
+from swarmtrack.transport.own_sockets import cut_off
 from swarmtrack.transport.ports import wait_for_ports
-from swarmtrack.transport.settings import Mode, NetworkSettings
+from swarmtrack.transport.settings import Mode, NetworkSettings, parse_endpoint
 from swarmtrack.transport.zenoh_bridge import Bridge
 from swarmtrack.transport.zenoh_config import zenoh_config
 
@@ -112,8 +113,10 @@ def _close(session: zenoh.Session) -> None:
     session.close()  # type: ignore[no-untyped-call]
 
 
-async def close_session(session: zenoh.Session, declared: list[Any]) -> None:
-    """Undeclare in order, then close. Gives up after `SESSION_CLOSE_S`; the process's end does the rest."""
+async def close_session(session: zenoh.Session, declared: list[Any]) -> bool:
+    """Undeclare in order, then close. Gives up after `SESSION_CLOSE_S`, and returns False; the process's end, or
+    `own_sockets.cut_off`, does the rest.
+    """
 
     def close() -> None:
         for entity in declared:
@@ -125,6 +128,19 @@ async def close_session(session: zenoh.Session, declared: list[Any]) -> None:
         await bounded(close, SESSION_CLOSE_S, "close")
     except TransportError as error:
         log.info("%s", error)
+        return False
+    return True
+
+
+async def replaced(session: zenoh.Session, declared: list[Any], network: NetworkSettings) -> None:
+    """Close a session that another may follow. Where Zenoh does not end it, its sockets are taken away: else it would
+    keep links to teammates, which then wait for words that never come.
+    """
+    if await close_session(session, declared):
+        return
+    endpoints = (parse_endpoint(text, "network") for text in (*network.listen, *network.connect))
+    ports = {endpoint.port for endpoint in endpoints if endpoint.port is not None}
+    log.warning("network: %d sockets of links that do not end are closed", cut_off(ports))
 
 
 async def bounded(

@@ -45,7 +45,13 @@ from swarmtrack.transport.peers import Peers, Verify, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import Bridge
-from swarmtrack.transport.zenoh_session import ask_for_announcement, bounded, close_session, open_session
+from swarmtrack.transport.zenoh_session import (
+    ask_for_announcement,
+    bounded,
+    close_session,
+    open_session,
+    replaced,
+)
 
 log = logging.getLogger(__name__)
 
@@ -398,7 +404,7 @@ class ZenohTransport:
         declared, self._declared = self._declared[::-1], []  # the token first: it is our farewell
         self._publishers = {}
         if session is not None:
-            await close_session(session, declared)
+            await replaced(session, declared, self._network)
 
     def _answer(self, query: zenoh.Query) -> None:
         """In Zenoh's thread."""
