@@ -100,7 +100,7 @@ async def relay(network: NetworkSettings, seconds: float | None, quiet: bool) ->
     finally:
         for task in tasks:
             task.cancel()
-        await close_session(session, [])
+        await close_session(session, [], network.listen)
     return newer[0] if newer else None
 
 

@@ -151,7 +151,14 @@ def fly(name: str, seed: int) -> FlownFormation:
         seen = np.cumsum([sample.intruder_seen for sample in samples]) > SEEN_S * COMMAND_HZ
         slots = slots._replace(nearest=min(slots.nearest, float(met[seen].min(initial=math.inf))))
     flying = (t >= DEPARTS_S) & (t < plan.gone_s)
-    whys = [why for sample, flies in zip(samples, flying, strict=True) if flies for why in sample.whys]
+    returning = _returning(plan)
+    whys = [
+        why
+        for sample, flies in zip(samples, flying, strict=True)
+        if flies
+        for k, why in enumerate(sample.whys)
+        if k != returning
+    ]
     return FlownFormation(
         seed,
         slots,
@@ -163,12 +170,16 @@ def fly(name: str, seed: int) -> FlownFormation:
     )
 
 
-def _of_those_that_follow(plan: FlightPlan, slots: SlotErrors) -> SlotErrors:
-    """Without the errors of a follower that a failsafe takes home: it keeps no slot, and comes near to others."""
+def _returning(plan: FlightPlan) -> int | None:
+    """Of the followers, from 0, the one that a failsafe takes home: it keeps no slot, and comes near to others."""
     failure = plan.failure
-    if failure is None or failure.fault is not Fault.RETURNS:
+    return failure.victim - LEADER - 1 if failure is not None and failure.fault is Fault.RETURNS else None
+
+
+def _of_those_that_follow(plan: FlightPlan, slots: SlotErrors) -> SlotErrors:
+    k = _returning(plan)
+    if k is None:
         return slots
-    k = failure.victim - LEADER - 1
     return slots._replace(errors=np.delete(slots.errors, k, axis=1), last=np.delete(slots.last, k))
 
 

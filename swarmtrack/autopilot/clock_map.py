@@ -166,7 +166,9 @@ class ClockMap:
             if explained:
                 self._step_variance = 0.0
             else:
-                self._add_step(stamp, crossing)
+                # At least by so much; and it may step again before an exchange shows it.
+                self._step_variance = self._step_variance_at(stamp) + crossing**2
+                self._stepped_at = stamp
         else:
             self._bound_below(exchange)
         if self._exchanges >= CLOCK_LEAST_EXCHANGES:
@@ -174,11 +176,6 @@ class ClockMap:
             self._latency = max(0.0, width) / 2
             # Uniform between the bounds, plus how far the envelope itself is uncertain.
             self.sigma = self._sigma(width / math.sqrt(12))
-
-    def _add_step(self, stamp: float, step: float) -> None:
-        """A clock that has stepped by so much [s], at least, may do so again before an exchange shows it."""
-        self._step_variance = self._step_variance_at(stamp) + step**2
-        self._stepped_at = stamp
 
     def _step_variance_at(self, stamp: float) -> float:
         return self._step_variance * math.exp(-max(stamp - self._stepped_at, 0.0) / CLOCK_STEPS_LAST_S)
@@ -206,12 +203,8 @@ class ClockMap:
         """By how much [s] this exchange began after the line allows, or ended before an earlier one does, for a clock
         that keeps its drift: the least by which the clock has stepped."""
         fastest = self.drift - CLOCK_MAX_SKEW
-        ahead = (
-            old.earliest + fastest * (new.stamp - old.stamp) - new.latest
-            for old in self._past
-            if old is not new
-        )
-        return max(new.earliest - self._line(new.stamp), *ahead, -math.inf)
+        ahead = (old.earliest + fastest * (new.stamp - old.stamp) - new.latest for old in self._past)
+        return max(new.earliest - self._line(new.stamp), *ahead)
 
     def _explain(self) -> bool:
         """After bounds have crossed: find the drift that explains it. False where it was a step, or is not known."""

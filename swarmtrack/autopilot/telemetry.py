@@ -136,9 +136,8 @@ class Telemetry:
         self.stamps = AutopilotStamps(self.senders, wrapped=self._wrapped, begun_again=self._begin_again)
         self.second_clock: float | None = None
         """How far apart [s] the clock is of a second autopilot that speaks under the same ID; None: there is none."""
-        self._copies_before = 0
         self._asked_time: dict[int, float] = {}
-        self._exchanges = 0
+        self._copies_before = self._exchanges = 0
         self._next_timesync = -math.inf
 
         self.gyro = Intake("gyro samples")

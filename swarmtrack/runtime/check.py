@@ -16,7 +16,13 @@ from swarmtrack.config.formation import fields_of_view
 from swarmtrack.diagnosis.findings import Finding, Level, fault
 from swarmtrack.diagnosis.mounting import check_calibration, check_mount
 from swarmtrack.diagnosis.sources import check_door
-from swarmtrack.diagnosis.surroundings import DetectorFacts, check_detector, check_disk, check_network
+from swarmtrack.diagnosis.surroundings import (
+    DetectorFacts,
+    NetworkFacts,
+    check_detector,
+    check_disk,
+    check_network,
+)
 from swarmtrack.errors import ConfigError
 from swarmtrack.formation.plan import FormationPlan, HalfView
 from swarmtrack.outputs.destinations import check_outputs
@@ -78,22 +84,7 @@ def check(path: Path) -> None:
         if config.drone.id != plan.leader:
             print(f"           {FLOWN if config.flies_in_formation else NOT_FLOWN}")
         print(textwrap.indent(as_text(plan, config.drone.id, _views(parts)), "           "))
-    start = config.drone.start
-    several = len(config.cameras) > 1
-    findings = [
-        replace(each, found=f"camera {number}: {each.found}") if several else each
-        for number, section in enumerate(config.cameras, start=1)
-        for each in _doubts(section, several=several)
-    ]
-    findings += check_door(link, signed=config.autopilot.signing_key is not None)
-    if start.has_unknown_sigma:
-        findings.append(fault("pose.unmeasured", sigma_m=start.position_sigma_m))
-    findings += check_network(facts) + check_disk(disk_facts(config))
-    if parts.detector is not None:
-        findings += check_detector(
-            DetectorFacts(providers=config.detector.providers, runs_on=parts.detector.providers)
-        )
-    for finding in findings:
+    for finding in _findings(config, parts, facts):
         if finding.level in (Level.OK, Level.SKIPPED):
             continue
         print(f"warning: {finding.found}: {finding.remedy}")
@@ -119,6 +110,26 @@ def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:
         azimuth, up = round(azimuth) + 0, round(up) + 0
         way = f"{azimuth:+d}° from the nose, clockwise, {up:+d}° up"
         print(f"looks      {way}, known to {section.mounting_sigma_deg:g}°")
+
+
+def _findings(config: DroneConfig, parts: Parts, facts: NetworkFacts) -> list[Finding]:
+    """What doctor would find in the config alone, and in this machine."""
+    start = config.drone.start
+    several = len(config.cameras) > 1
+    findings = [
+        replace(each, found=f"camera {number}: {each.found}") if several else each
+        for number, section in enumerate(config.cameras, start=1)
+        for each in _doubts(section, several=several)
+    ]
+    findings += check_door(config.autopilot.link, signed=config.autopilot.signing_key is not None)
+    if start.has_unknown_sigma:
+        findings.append(fault("pose.unmeasured", sigma_m=start.position_sigma_m))
+    findings += check_network(facts) + check_disk(disk_facts(config))
+    if parts.detector is not None:
+        findings += check_detector(
+            DetectorFacts(providers=config.detector.providers, runs_on=parts.detector.providers)
+        )
+    return findings
 
 
 def _doubts(section: CameraSection, *, several: bool) -> list[Finding]:

@@ -17,14 +17,7 @@ def own_streams() -> Iterator[socket.socket]:
     """A duplicate of each TCP socket, for the duration of the iteration. None where the system does not list
     descriptors.
     """
-    for descriptor in _descriptors():
-        with contextlib.suppress(OSError):  # it is gone
-            copy = _copy(descriptor)
-            if copy is None:
-                continue
-            with copy:
-                if copy.type == socket.SOCK_STREAM and copy.family in (socket.AF_INET, socket.AF_INET6):
-                    yield copy
+    return (copy for _, copy in _ip_sockets() if copy.type == socket.SOCK_STREAM)
 
 
 def cut_off(ports: Set[int]) -> int:
@@ -34,17 +27,14 @@ def cut_off(ports: Set[int]) -> int:
     An unconnected socket takes the place of each, so the descriptors stay valid for their owner, which may close them.
     """
     count = 0
-    for descriptor in _descriptors():
-        with contextlib.suppress(OSError):  # it is gone
-            copy = _copy(descriptor)
-            if copy is None:
-                continue
-            with copy:
-                if copy.family not in (socket.AF_INET, socket.AF_INET6) or not ports & _ports_of(copy):
-                    continue
-                with socket.socket(copy.family, copy.type) as unconnected:
-                    os.dup2(unconnected.fileno(), descriptor, inheritable=False)
-            count += 1
+    for descriptor, copy in _ip_sockets():
+        if not ports & _ports_of(copy):
+            continue
+        with socket.socket(copy.family, copy.type) as unconnected, contextlib.suppress(OSError):
+            # Where it was closed meanwhile, the descriptor may be that of another file.
+            if os.path.sameopenfile(descriptor, copy.fileno()):
+                os.dup2(unconnected.fileno(), descriptor, inheritable=False)
+                count += 1
     return count
 
 
@@ -55,12 +45,20 @@ def _ports_of(own: socket.socket) -> set[int]:
     return ports
 
 
-def _descriptors() -> list[int]:
-    """Of this process; none where the system does not list them."""
+def _ip_sockets() -> Iterator[tuple[int, socket.socket]]:
+    """Descriptor and duplicate of each."""
     try:
-        return [int(name) for name in os.listdir(DESCRIPTORS)]
+        descriptors = [int(name) for name in os.listdir(DESCRIPTORS)]
     except OSError:
-        return []
+        return
+    for descriptor in descriptors:
+        with contextlib.suppress(OSError):  # it is gone
+            copy = _copy(descriptor)
+            if copy is None:
+                continue
+            with copy:
+                if copy.family in (socket.AF_INET, socket.AF_INET6):
+                    yield descriptor, copy
 
 
 def _copy(descriptor: int) -> socket.socket | None:

@@ -23,7 +23,7 @@ from swarmtrack.transport.link_watch import LinksUp, links_up
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import Bridge
-from swarmtrack.transport.zenoh_session import ask, bounded, close_session, open_session, plain, replaced
+from swarmtrack.transport.zenoh_session import ask, bounded, close_session, open_session, plain
 
 log = logging.getLogger(__name__)
 
@@ -104,7 +104,7 @@ class ZenohListener:
     async def _leave(self) -> None:
         session, self._session = self._session, None
         if session is not None:
-            await replaced(session, [*filter(None, self._later.values()), *self._declared], self._network)
+            await close_session(session, [*filter(None, self._later.values()), *self._declared])
         self._later = dict.fromkeys(self._later)
 
     async def listen_to(self, key_expression: str) -> None:

@@ -16,7 +16,7 @@ import itertools
 import logging
 import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Final, TypeVar
 
@@ -113,10 +113,13 @@ def _close(session: zenoh.Session) -> None:
     session.close()  # type: ignore[no-untyped-call]
 
 
-async def close_session(session: zenoh.Session, declared: list[Any]) -> bool:
-    """Undeclare in order, then close. Gives up after `SESSION_CLOSE_S`, and returns False; the process's end, or
-    `own_sockets.cut_off`, does the rest.
+async def close_session(session: zenoh.Session, declared: list[Any], listen: Sequence[str] = ()) -> None:
+    """Undeclare in order, then close. Where Zenoh does not end it within `SESSION_CLOSE_S`, its sockets are taken away:
+    else it would keep links to teammates, which then wait for words that never come. listen: its own endpoints.
     """
+    # Our ends of its links, and where it accepts them.
+    ends = (*listen, *(str(link.src) for link in session.info.links()))
+    ports = {port for end in ends if (port := parse_endpoint(end, "network").port) is not None}
 
     def close() -> None:
         for entity in declared:
@@ -127,20 +130,7 @@ async def close_session(session: zenoh.Session, declared: list[Any]) -> bool:
     try:
         await bounded(close, SESSION_CLOSE_S, "close")
     except TransportError as error:
-        log.info("%s", error)
-        return False
-    return True
-
-
-async def replaced(session: zenoh.Session, declared: list[Any], network: NetworkSettings) -> None:
-    """Close a session that another may follow. Where Zenoh does not end it, its sockets are taken away: else it would
-    keep links to teammates, which then wait for words that never come.
-    """
-    if await close_session(session, declared):
-        return
-    endpoints = (parse_endpoint(text, "network") for text in (*network.listen, *network.connect))
-    ports = {endpoint.port for endpoint in endpoints if endpoint.port is not None}
-    log.warning("network: %d sockets of links that do not end are closed", cut_off(ports))
+        log.warning("%s; %d sockets of its links are closed", error, cut_off(ports))
 
 
 async def bounded(

@@ -50,7 +50,6 @@ from swarmtrack.transport.zenoh_session import (
     bounded,
     close_session,
     open_session,
-    replaced,
 )
 
 log = logging.getLogger(__name__)
@@ -198,7 +197,7 @@ class ZenohTransport:
         try:
             await bounded(partial(self._declare, session), SESSION_OPEN_S, "declare")
         except BaseException:
-            await close_session(session, [])
+            await close_session(session, [], self._network.listen)
             raise
         self._session = session
         self._tasks += [
@@ -404,7 +403,7 @@ class ZenohTransport:
         declared, self._declared = self._declared[::-1], []  # the token first: it is our farewell
         self._publishers = {}
         if session is not None:
-            await replaced(session, declared, self._network)
+            await close_session(session, declared, self._network.listen)
 
     def _answer(self, query: zenoh.Query) -> None:
         """In Zenoh's thread."""

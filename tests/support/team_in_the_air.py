@@ -279,10 +279,17 @@ class Team:
         authority.issue(["monitor", *map(names.drone, self.drones)], now)
         return folder
 
-    def revoke(self, drone: int) -> None:
+    def issue_monitors(self, number: int) -> list[str]:
+        """Certificates for so many more listeners; their names."""
+        assert self._keys is not None
+        issued = [f"monitor-{k}" for k in range(number)]
+        open_authority(self._keys).issue(issued, datetime.now(UTC))
+        return issued
+
+    def revoke(self, name: str) -> None:
         """As `swarmtrack keys revoke` does it on the CA's machine, which copies the roster to all others at once."""
         assert self._keys is not None
-        open_authority(self._keys).revoke(names.drone(drone))
+        open_authority(self._keys).revoke(name)
 
     # --- watching -----------------------------------------------------------------------
 
