@@ -95,6 +95,8 @@ FLIGHTS = {
         FlightPlan(name="quarter-turn", turn_s=SHARP_TURN_S),
         FlightPlan(name="wind", wind=True),
         FlightPlan(name="quarter-turn-wind", turn_s=SHARP_TURN_S, wind=True),
+        FlightPlan(name="ordinary-gps", receivers=3),
+        FlightPlan(name="ordinary-gps-mixed", receivers=2),
         FlightPlan(name="leader-lost", drones=4, gone_s=GONE_S, ends_s=GONE_ENDS_S),
         _hovering("intruder-1", INTRUDED_ENDS_S + 8.0, intruder_m_s=1.0),
         _hovering("intruder-2", INTRUDED_ENDS_S, intruder_m_s=2.0),

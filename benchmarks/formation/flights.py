@@ -23,6 +23,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.lab.scenarios.scenario import (
     BODY_FROM_CAMERA,
     DRIFT_M,
+    AnnouncedStart,
     Ghost,
     Scenario,
     ScenarioCamera,
@@ -46,6 +47,8 @@ COMMAND_HZ = 10.0
 GROUND_EVERY = 5
 FPS, LATENCY_S, IMU_HZ = 20.0 / 3.0, 0.15, 50.0
 START_SIGMA_M = 0.3
+# m, level and vertical: what an ordinary receiver claims to be off, and is.
+RECEIVER_SIGMA_M, RECEIVER_VERTICAL_SIGMA_M = 0.9, 1.78
 # s, world time: engaged, and off they fly.
 ENGAGED_S, DEPARTS_S, TURNS_S, TURN_S, STOPS_S, ENDS_S = 3.0, 14.0, 26.0, 5.0, 40.0, 50.0
 # s: before that the leader flies a square, by which it is known: so long each side; and m/s.
@@ -74,7 +77,8 @@ class FlightPlan:
     wherever it goes; leader_homes_m_s: so does the leader; sure: of names, see the law's parameters.
     ghosts: in front of each follower, parts of houses that look like drones at 3 to 7 m; failure: what breaks;
     range_finders: all have one that looks down; turn_s: in which the leader turns a quarter; wind: drones lean into a
-    steady wind, from anywhere, and sway in its gusts.
+    steady wind, from anywhere, and sway in its gusts; receivers: how many drones, the leader first, start where an
+    ordinary receiver has them.
     """
 
     name: str
@@ -98,6 +102,10 @@ class FlightPlan:
     range_finders: bool = False
     turn_s: float = TURN_S
     wind: bool = False
+    receivers: int = 0
+
+    def has_receiver(self, drone: int) -> bool:
+        return LEADER <= drone < LEADER + self.receivers
 
 
 class FlightSample(NamedTuple):
@@ -229,6 +237,8 @@ class FormationFlight(FailingSwarm):
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
         pose = super()._pose(drone_id, index)
+        if self.plan.has_receiver(drone_id):
+            pose = replace(pose, position_sigma=RECEIVER_SIGMA_M, vertical_sigma=RECEIVER_VERTICAL_SIGMA_M)
         if not self.plan.range_finders or index % GROUND_EVERY:
             return pose
         return replace(pose, ground=-float(self.scenario.world.flown(drone_id).position(pose.t)[2]))
@@ -291,9 +301,18 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
         detector=DetectorParameters(
             p_detection=plan.p_detection, centre_sigma=2.6, size_sigma=plan.size_white, clutter_per_frame=0.1
         ),
-        announced=announced_starts(world, START_SIGMA_M, swapped),
+        announced=announced_starts(world, START_SIGMA_M, swapped)
+        | {drone: _by_receiver(world, drone) for drone in slots if plan.has_receiver(drone)},
         ghosts=tuple(ghost for drone in slots if drone != LEADER for ghost in _ghosts(plan, world, drone)),
     )
+
+
+def _by_receiver(world: World, drone: int) -> AnnouncedStart:
+    """Where an ordinary receiver has it; what it claims comes with each pose."""
+    flown = world.flown(drone)
+    sigmas = (RECEIVER_SIGMA_M, RECEIVER_SIGMA_M, RECEIVER_VERTICAL_SIGMA_M)
+    off = world.chance("receiver", drone).standard_normal(3) * sigmas
+    return AnnouncedStart(flown.position(0.0) + off, flown.yaw(0.0), 0.0)
 
 
 def _ghosts(plan: FlightPlan, world: World, drone: int) -> Iterator[Ghost]:

@@ -5,7 +5,8 @@ Theory of operation. A command has five parts, in this order:
 1. Holds. The own autopilot, camera or team may report a state in which it must not fly: then the drone stops.
 2. The law (`law.py`) gives a level velocity from the trusted references (`references.py`). When the last of them is
    lost, the last command fades; then the drone holds, and never searches.
-3. The height is that of the slot, held by the own autopilot's. Right after engaging it comes first: a drone that flies
+3. The height is that of the slot, held by the own autopilot's. Where that is vague, the height above the references as
+   measured counts instead. Right after engaging it comes first: a drone that flies
    level through other drones' heights meets them where no camera looks.
 4. The command changes by no more than the acceleration allows. The barrier (`barrier.py`) then bends it away from every
    track, named or not, and the fence bends it inwards; a step of theirs is not slowed down. No evasion leads beyond the
@@ -48,6 +49,7 @@ from swarmtrack.formation.margins import (
     FARTHEST_SEEN_M,
     FASTEST_OWN_SPEED_M_S,
     HEADING_OR_LEAP_SETTLES_S,
+    HEIGHT_CORRECTED_SIGMAS,
     HEIGHT_GAIN_PER_S,
     LATE_INPUT_LASTS_S,
     LED_BACK_WITHIN_S,
@@ -58,6 +60,7 @@ from swarmtrack.formation.margins import (
     OLDEST_SCAN_S,
     REFERENCE_DOUBTED_PROBABILITY,
     SIDESTEP_SPEED_M_S,
+    VAGUEST_OWN_HEIGHT_M,
     VAGUEST_OWN_PLACE_M,
     YAW_GAIN_PER_S,
 )
@@ -79,6 +82,7 @@ MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)
 HOLD_TEXTS = {
     Why.OWN_POSE: "own position is old",
     Why.VAGUE: f"own position error exceeds {VAGUEST_OWN_PLACE_M:g} m",
+    Why.HEIGHT_VAGUE: f"own height error exceeds {VAGUEST_OWN_HEIGHT_M:g} m, and no reference's is measured",
     Why.GYRO: "gyro is silent",
     Why.CAMERA: "camera is silent or stuck",
     Why.CLASH: "another process uses this drone's ID",
@@ -133,6 +137,8 @@ class Formation:
         self._engaged_at: Velocity | None = None
         self._at_height = False
         self._heights = HeightWatch(self.parameters.references)
+        self._correction = 0.0
+        """m: by how much the own height is taken to exceed the true one."""
         self._divergence = DivergenceWatch()
         self._escapes = False
         """Whether it may be out of its height, since somebody was about to collide with it."""
@@ -160,10 +166,11 @@ class Formation:
             return self._brake(t, dt, Why.OWN_POSE)
         states = _usable(relative_states)
         trusted = self._trusted(states, own, tracks, t)
-        why = _forbidden(own, self._cameras(own))
+        self._watch_heights(own, tracks, t)
+        why = _forbidden(own, self._cameras(own), height_known=self._corrects_height(own))
         if self._lasts(why, t):
             self._forget()
-        doubt = self._watched(own, tracks, why, t)
+        doubt = self._watched(own, why, t)
         if why in (Why.OWN_POSE, Why.VAGUE, Why.GYRO):
             return self._brake(t, dt, why)
         if self._engaged_at is None:
@@ -257,10 +264,7 @@ class Formation:
             watch.restart()
         self._followed_at = -math.inf
 
-    def _watched(
-        self, own: OwnFlight, tracks: Sequence[IdentifiedTrack], why: Why | None, t: float
-    ) -> tuple[Why, str] | None:
-        """What the last seconds tell against flying on, whatever holds the drone now. It costs nobody's name."""
+    def _watch_heights(self, own: OwnFlight, tracks: Sequence[IdentifiedTrack], t: float) -> None:
         # What drifts contradicts the name's place, and costs it some of what made it sure.
         sure = {
             entry.identity
@@ -270,6 +274,22 @@ class Formation:
             > (REFERENCE_DOUBTED_PROBABILITY if self._heights.knows(entry.identity) else self.parameters.sure)
         }
         self._heights.add_sights((sight for sight in own.height_sights if sight.drone_id in sure), t)
+
+    def _corrects_height(self, own: OwnFlight) -> bool:
+        """Whether the own height is known, by itself or above the references; `_correction` is its error."""
+        p = self.parameters
+        correction: float | None = 0.0
+        if not own.height_sigma <= VAGUEST_OWN_HEIGHT_M:
+            correction = self._heights.correction(
+                {drone: p.height - p.slots[drone][2] for drone in p.references}
+            )
+            if correction is None or not abs(correction) <= HEIGHT_CORRECTED_SIGMAS * own.height_sigma:
+                return False
+        self._correction = correction
+        return True
+
+    def _watched(self, own: OwnFlight, why: Why | None, t: float) -> tuple[Why, str] | None:
+        """What the last seconds tell against flying on, whatever holds the drone now. It costs nobody's name."""
         self._divergence.add_sample(t, self._flown, own.velocity, usable=why not in MOVES_UNKNOWN)
         watches = (Why.HEIGHT_DOUBT, self._heights.doubt), (Why.DIVERGES, self._divergence.doubt(t))
         return next(((doubt, text) for doubt, text in watches if text is not None), None)
@@ -325,7 +345,7 @@ class Formation:
         """The slot's height beside the level velocity, and the sway of its code about it; the height alone until the
         drone has come to it."""
         sways = own.sways if self._at_height else NO_SWAY
-        off = self.parameters.down + sways.down - own.position[2]
+        off = self._slot_down() + sways.down - own.position[2]
         climb = self.parameters.limits.climb
         down = min(max(HEIGHT_GAIN_PER_S * off + sways.speed, -climb), climb)
         if not self._at_height:
@@ -430,14 +450,19 @@ class Formation:
     def _room(self, own: OwnFlight) -> FreeHeights:
         """Of heights, to escape to."""
         p = self.parameters
-        others = [place[2] - p.height for drone, place in p.slots.items() if drone != p.drone_id]
-        return room(p.down + own.sways.down, others)
+        others = [self._slot_down(drone) for drone in p.slots if drone != p.drone_id]
+        return room(self._slot_down() + own.sways.down, others)
+
+    def _slot_down(self, drone_id: int | None = None) -> float:
+        """Height of a drone's slot, by default the own, as the own autopilot has it: m, down in the team frame."""
+        p = self.parameters
+        return p.slots[p.drone_id if drone_id is None else drone_id][2] - p.height - self._correction
 
     def _layer(self, own: OwnFlight, engaged: Velocity) -> list[HalfSpace]:
         """Out of its slot's height nobody is led by whom it keeps clear of; nor, until the drone is there, off the way
         to it from where it was engaged. Whoever was about to collide may have left it, a little."""
         sways = own.sways if self._at_height else NO_SWAY
-        slot = self.parameters.down + sways.down
+        slot = self._slot_down() + sways.down
         if self._escapes and self._at_height:
             free = self._room(own)
             least, most = min(free.highest, slot - AT_HEIGHT_M), max(free.lowest, slot + AT_HEIGHT_M)
@@ -509,7 +534,7 @@ def _level_speed(velocity: Velocity) -> float:
     return math.hypot(velocity[0], velocity[1])
 
 
-def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
+def _forbidden(own: OwnFlight, cameras: Sequence[int], *, height_known: bool) -> Why | None:
     """Why this drone may not fly by what it sees; None where it may. Of several reasons the gravest. cameras: one of
     these has to be alive."""
     # Who doubts its start says that it knows its place to a kilometre: its autopilot still knows how it moves.
@@ -524,6 +549,7 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int]) -> Why | None:
         (not own.leap_age >= HEADING_OR_LEAP_SETTLES_S, Why.LEAP),
         (own.doubted, Why.DOUBT),
         (not any(_is_new(own.scan_ages[camera]) for camera in cameras), Why.CAMERA),
+        (not height_known, Why.HEIGHT_VAGUE),
     )
     return next((why for holds, why in reasons if holds), None)
 

@@ -6,12 +6,15 @@ d [m] is the drift since the watch began, 0 then, and its rate a random walk; b 
 that were measured by different people, of which nothing is known; τ [rad] is the error of the own tilt, which lasts
 for seconds; r the error of the distance, in its own sigmas. b cannot be separated from a drift that ended before the
 watch began, nor can the drifting drone be identified: a finding is reported for both.
+
+Their sum is what a drone needs whose own height is vague, as by an ordinary receiver: it is how much too high its own
+height has it above a teammate.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -27,6 +30,7 @@ from swarmtrack.formation.margins import (
     HEIGHT_GATE_SIGMAS,
     HEIGHT_LEAP_AFTER_S,
     HEIGHT_LEAST_SIGMA_M,
+    HEIGHT_MEASURED_SIGMA_M,
     HEIGHT_RATE_SIGMA_M_S,
     HEIGHT_RATE_WALK_M_S_SQRT_S,
     RANGE_ERROR_LASTS_S,
@@ -35,8 +39,8 @@ from swarmtrack.formation.margins import (
 )
 from swarmtrack.relative.heights import HeightSight
 
-# Of the state's entries, the first two.
-DRIFT, CLIMB = 0, 1
+# Of the state's entries, the first three.
+DRIFT, CLIMB, CONSTANT = 0, 1, 2
 
 
 class HeightDrift(NamedTuple):
@@ -87,6 +91,20 @@ class HeightWatch:
             for drone, row in self._rows.items()
         ]
 
+    def correction(self, heights: Mapping[int, float]) -> float | None:
+        """m: by how much the own reported height is too large, if the references are at `heights` [m], by drone. What
+        they report themselves does not count. None where none is measured well enough.
+        """
+        measured = [
+            (row.off + row.said - heights[drone], row.off_variance)
+            for drone, row in self._rows.items()
+            if drone in heights and row.off_variance < HEIGHT_MEASURED_SIGMA_M**2
+        ]
+        if not measured:
+            return None
+        weights = [1.0 / variance for _, variance in measured]
+        return sum(w * off for w, (off, _) in zip(weights, measured, strict=True)) / sum(weights)
+
     @property
     def doubt(self) -> str | None:
         """The drone whose height seems wrong, in words; None without one."""
@@ -110,6 +128,7 @@ class _Row:
 
     def __init__(self, sight: HeightSight) -> None:
         self.word = sight.word
+        self.said = sight.said
         self.t = self.taken_t = sight.t
         self.is_reported = False
         # Of the constant nothing is known but this: somebody may have begun to count far above, or below.
@@ -120,9 +139,18 @@ class _Row:
     def sigma(self) -> float:
         return math.sqrt(max(float(self.P[DRIFT, DRIFT]), 0.0))
 
+    @property
+    def off(self) -> float:
+        return float(self.x[DRIFT] + self.x[CONSTANT])
+
+    @property
+    def off_variance(self) -> float:
+        both = self.P[[DRIFT, CONSTANT]][:, [DRIFT, CONSTANT]]
+        return max(float(both.sum()), HEIGHT_LEAST_SIGMA_M**2)
+
     def add_sight(self, sight: HeightSight) -> None:
         self._predict(sight.t - self.t)
-        self.t = sight.t
+        self.t, self.said = sight.t, sight.said
         H = np.array([1.0, 0.0, 1.0, sight.level, sight.lever])
         innovation = sight.off - float(H @ self.x)
         S = float(H @ self.P @ H) + sight.sigma**2

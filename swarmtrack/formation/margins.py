@@ -39,8 +39,9 @@ LEAST_MEAN_DIRECTION = 0.3
 
 # Inputs (`formation`, `setpoint`): a pose, the gyro or a scan that is older tells nothing of now.
 OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
-# Of a place that is known worse the fence means nothing, nor do heights that keep apart who fly beside each other.
-VAGUEST_OWN_PLACE_M = 1.0
+# Of a place that is known worse the fence means nothing; and a height that is known worse keeps nobody apart from who
+# flies beside it: the height above a reference counts then, as measured.
+VAGUEST_OWN_PLACE_M, VAGUEST_OWN_HEIGHT_M = 5.0, 1.0
 # So long after its heading stepped, or its place leapt, a drone does not fly by it.
 HEADING_OR_LEAP_SETTLES_S = 3.0
 # What a busy computer or link delays for a moment: only where it lasts so long it costs the references their trust.
@@ -155,6 +156,9 @@ TILT_ERROR_RAD, TILT_ERROR_LASTS_S, RANGE_ERROR_LASTS_S = math.radians(1.0), 20.
 HEIGHT_DRIFT_REPORTED_M, HEIGHT_DRIFT_GONE_M, HEIGHT_DRIFT_SIGMAS = 0.5, 0.35, 3.0
 # A single sight that is farther off is a wrong box; where all are for so long, a height has leapt.
 HEIGHT_GATE_SIGMAS, HEIGHT_LEAP_AFTER_S = 4.0, 1.0
+# A height above a reference is measured once it is known so well. So many sigmas the own height may be off; what is
+# more is another's error.
+HEIGHT_MEASURED_SIGMA_M, HEIGHT_CORRECTED_SIGMAS = 0.4, 3.0
 # Without a sight for so long a drift is neither known nor reported any more.
 HEIGHT_DRIFT_STALE_S = 30.0
 # Against a teammate that drifts less than this the own height is right, and another's is wrong.

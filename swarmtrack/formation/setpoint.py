@@ -24,6 +24,7 @@ class Why(enum.StrEnum):
     NO_REFERENCE = "no_reference"  # holds its place
     OWN_POSE = "own_pose"  # the own pose is old, or none
     VAGUE = "vague"  # the own place is not known well enough
+    HEIGHT_VAGUE = "height_vague"  # the own height is not, and that above a reference is not measured
     GYRO = "gyro"
     CAMERA = "camera"
     CLASH = "clash"
@@ -56,10 +57,10 @@ NO_SWAY = OwnSway(0.0, 0.0)
 class OwnFlight:
     """This drone itself, by its own autopilot, at the time of a command.
 
-    position [m] and velocity [m/s] in the team frame; position_sigma [m], of its worst axis; heading [rad]: where its
-    camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, by camera of the
-    exposure of its newest scan that showed anything new, since the heading last stepped and since the place last leapt;
-    inf where there was none.
+    position [m] and velocity [m/s] in the team frame; position_sigma [m], level, and height_sigma [m]; heading [rad]:
+    where its camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, by camera of
+    the exposure of its newest scan that showed anything new, since the heading last stepped and since the place last
+    leapt; inf where there was none.
     clash: another process uses this drone's ID; doubted: what it sees tells that its own start or heading is wrong;
     clock_known: the autopilot's clock is mapped. sways: as its code has it. ground [m]: what is below it, by the last
     measurement of its range finder; None where there is none, or none of the last second. height_sights: of the last
@@ -70,6 +71,7 @@ class OwnFlight:
     velocity: Velocity
     heading: float
     position_sigma: float = 0.1
+    height_sigma: float = 0.1
     pose_age: float = 0.0
     gyro_age: float = 0.0
     scan_ages: tuple[float, ...] = (0.0,)

@@ -32,7 +32,7 @@ class HeightSight(NamedTuple):
     off [m]: how high this drone says that it is above the teammate, less how high its camera has it. That is an unknown
     constant, and what has drifted. word: whose, and of which kind; the constant of each is its own. sigma [m]: of this
     scan alone. level [m]: level distance, by which an error of the own tilt [rad] counts; lever [m]: by how much an
-    error of the distance of one sigma does.
+    error of the distance of one sigma does. said [m]: the height that the teammate reports, as in `off`.
     """
 
     drone_id: int
@@ -42,6 +42,7 @@ class HeightSight(NamedTuple):
     sigma: float
     level: float
     lever: float
+    said: float = 0.0
 
 
 class _Word(NamedTuple):
@@ -99,6 +100,7 @@ class SaidHeights:
                     math.hypot(sigma, ray_sigma, HEIGHT_JITTER_M),
                     distance * math.hypot(north, east),
                     distance * abs(down) * state.range_sigma_log,
+                    height,
                 )
             )
         return tuple(sights)

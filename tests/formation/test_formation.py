@@ -214,7 +214,9 @@ def test_a_name_that_leaps_to_another_place_is_not_flown_after(flying):
     ("facts", "why"),
     [
         ({"pose_age": 0.21}, Why.OWN_POSE),
-        ({"position_sigma": 1.1}, Why.VAGUE),
+        ({"position_sigma": 5.1}, Why.VAGUE),
+        ({"height_sigma": 1.1}, Why.HEIGHT_VAGUE),
+        ({"height_sigma": math.nan}, Why.HEIGHT_VAGUE),
         ({"pose_age": math.nan}, Why.OWN_POSE),
         ({"gyro_age": 0.4}, Why.GYRO),
         ({"scan_ages": (1.1,)}, Why.CAMERA),
@@ -541,3 +543,49 @@ def test_a_ground_that_is_none_is_no_floor(ground):
     flying = Flying(Formation(parameters()))
     own = in_slot(off=(0.0, 0.0, -1.0), ground=ground)
     assert flying.tell(own, {10: leader_from(own)}, [track()], seconds=3.0).velocity[2] == pytest.approx(0.8)
+
+
+# ── an own height that is vague ──────────────────────────────────────────────────────────────────────────────────────
+
+
+def measuring(flying, error, *, seconds=6.0, sigma=1.8):
+    """It is 1 m above its leader, and its own height is wrong by `error` m; it flies as it is told."""
+    height = HEIGHT + 1.0
+    for _ in range(round(10.0 * seconds)):
+        t = flying.t + 0.1
+        # What is reported: its own height less the leader's, 0, less what the camera has.
+        off = height + error - 0.0 - (height - HEIGHT)
+        sight = HeightSight(1, "a moved", t, off, 0.1, 5.0, 0.1, 0.0)
+        own = in_slot(
+            off=(0.0, 0.0, HEIGHT + 1.0 - height - error), height_sigma=sigma, height_sights=(sight,)
+        )
+        setpoint = flying.tell(
+            own, {10: leader_from(own, at=(0.0, 0.0, own.position[2] + height - HEIGHT))}, [track()]
+        )
+        height -= 0.1 * setpoint.velocity[2]
+    return height, setpoint
+
+
+@pytest.mark.parametrize("error", [-2.5, 1.8])
+def test_a_vague_own_height_gives_way_to_that_above_the_leader(flying, error):
+    height, setpoint = measuring(flying, error)
+    assert setpoint.why is Why.FOLLOW
+    assert height == pytest.approx(HEIGHT + 1.0, abs=0.05)
+
+
+def test_an_own_height_that_is_known_does_not_follow_the_leaders(flying):
+    height, _ = measuring(flying, 0.8, sigma=0.9)
+    assert height == pytest.approx(HEIGHT + 1.0 - 0.8, abs=0.1)
+
+
+def test_a_leader_at_another_height_than_planned_is_not_followed_beyond_the_own_error(flying):
+    _, setpoint = measuring(flying, 4.0, sigma=1.2)
+    assert setpoint.why is Why.HEIGHT_VAGUE
+
+
+def test_a_vague_own_height_holds_until_the_leaders_is_measured(flying):
+    own = in_slot(height_sigma=1.8)
+    setpoint = flying.tell(own, {10: leader_from(own)}, [track()], seconds=3.0)
+    assert setpoint.why is Why.HEIGHT_VAGUE
+    assert setpoint.velocity == STANDSTILL
+    assert measuring(flying, 0.0)[1].why is Why.FOLLOW
