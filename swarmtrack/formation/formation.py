@@ -278,13 +278,12 @@ class Formation:
     def _corrects_height(self, own: OwnFlight) -> bool:
         """Whether the own height is known, by itself or above the references; `_correction` is its error."""
         p = self.parameters
-        correction: float | None = 0.0
-        if not own.height_sigma <= VAGUEST_OWN_HEIGHT_M:
-            correction = self._heights.correction(
-                {drone: p.height - p.slots[drone][2] for drone in p.references}
-            )
-            if correction is None or not abs(correction) <= HEIGHT_CORRECTED_SIGMAS * own.height_sigma:
-                return False
+        if own.height_sigma <= VAGUEST_OWN_HEIGHT_M:
+            self._correction = 0.0
+            return True
+        correction = self._heights.correction({drone: p.height - p.slots[drone][2] for drone in p.references})
+        if correction is None or not abs(correction) <= HEIGHT_CORRECTED_SIGMAS * own.height_sigma:
+            return False
         self._correction = correction
         return True
 
