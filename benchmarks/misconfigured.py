@@ -9,6 +9,7 @@ these the team knows nothing. Its configs state `--sigma` metres for every start
 * surest: the highest probability that was stated with a wrong name.
 * said: of the drones concerned, those that said that their own start or heading is wrong; after: seconds from when the
   first teammate came into their view, median and most. Falsely: drones that said so and are right.
+* of names stated with 0.95 to 0.99, how many are right; `reliability.md` has that of all rows together, by probability.
 * `--plot`: the probability of each kind of fault, of every drone in each row's first flight.
 """
 
@@ -20,6 +21,8 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,6 +45,7 @@ from swarmtrack.benchmarks.virtual_swarm import Mistake, VirtualSwarm
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import AnnouncedStart, Scenario
 from swarmtrack.lab.score.swarm_score import Glance, SwarmScore, SwarmScorer
+from swarmtrack.messages import Array
 
 DRONES = 4
 SECONDS = {"crossing": 20.0, "hover-triangle": 20.0, "errand": 30.0}
@@ -55,6 +59,8 @@ MOUNTING_DEG = (2.0, 5.0, 10.0, 20.0)
 # In the order of `own_errors.ConfigFault`.
 FAULT_COLOURS = ("#dddddd", "#cc6677", "#4477aa", "#88ccee", "#ddcc77", "#aa4499")
 START_M = (0.3, 0.5, 1.0, 1.5, 3.0, 5.0)
+# Of stated probabilities, %: where the rows of the reliability table begin and end.
+STATED_PERCENT = (50, 80, 90, 95, 99, 100)
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +94,18 @@ def rows() -> list[Row]:
         *compass,
         *mounting,
         *start,
+        *two_at_once(),
+    ]
+
+
+def two_at_once() -> list[Row]:
+    """Two things are wrong with one drone, or with one and another."""
+    swapped = {1: 2, 2: 1}
+    return [
+        Row("two: compass 30° and start 3 m of one", (1,), compass=math.radians(30.0), start_m=3.0),
+        Row("two: pads swapped, and compasses 30°", (1, 2), pads=swapped, compass=math.radians(30.0)),
+        Row("two: pads swapped, and mountings 10°", (1, 2), pads=swapped, mounting=math.radians(10.0)),
+        Row("two: pads swapped, and starts 1 m", (1, 2), pads=swapped, start_m=1.0),
     ]
 
 
@@ -102,6 +120,8 @@ class Flight:
     falsely: int
     faults: Mapping[int, Sequence[tuple[float, Mapping[str, float]]]]
     """By drone: at each glance, s, the probability of each kind of fault; empty unless it is to be drawn."""
+    stated: Array
+    """`SwarmScorer.stated`."""
 
 
 class _Watch:
@@ -161,13 +181,14 @@ def fly(
     mistakes = dict.fromkeys(row.of, Mistake(row.compass, row.mounting))
     swarm = VirtualSwarm(flown, tracker=tracker, mistakes=mistakes, share_hz=share_hz)
     watch = _Watch(swarm, LATER_S[scenario], SECONDS[scenario], draws=draws)
-    score = recognition.judge(swarm, flown, SECONDS[scenario], watch.add_glance).score
+    judged = recognition.judge(swarm, flown, SECONDS[scenario], watch.add_glance)
     after = {
         d: max(watch.said.get(d, math.inf) - max(watch.first_seen[d], swarm.announced_at[d]), 0.0)
         for d in row.of
         if d in watch.first_seen
     }
-    return Flight(score, watch.later.score(), after, len(watch.said.keys() - set(row.of)), watch.faults)
+    falsely = len(watch.said.keys() - set(row.of))
+    return Flight(judged.score, watch.later.score(), after, falsely, watch.faults, judged.stated)
 
 
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:
@@ -182,6 +203,7 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
         "said": sum(math.isfinite(s) for s in after),
         "said_after_s": {"p50": quantile(after, 0.5), "most": quantile(after, 1.0)},
         "falsely": sum(flight.falsely for flight in flights),
+        "sure_right": _reliability(flights, 95, 99)["right"],
     }
 
 
@@ -212,9 +234,31 @@ def _about(result: dict[str, Any]) -> str:
     )
 
 
+def _finish(args: argparse.Namespace, flights: dict[str, list[Flight]]) -> None:
+    _write_reliability(args.out, [flight for row in flights.values() for flight in row])
+    if args.plot:
+        _plot(args, flights)
+
+
+def _write_reliability(out: Path, flights: Sequence[Flight]) -> None:
+    table = report.table_of(RELIABILITY, [_reliability(flights, *ends) for ends in pairwise(STATED_PERCENT)])
+    (out / "reliability.md").write_text(report.page("# Are names as sure as they are stated?", table))
+
+
+def _reliability(flights: Sequence[Flight], low: int, high: int) -> dict[str, Any]:
+    """Of names stated with low to high %."""
+    named, right = np.sum([flight.stated[low:high] for flight in flights], axis=(0, 1)).tolist()
+    return {"low": low, "high": high, "named": named, "right": right / named if named else math.nan}
+
+
+RELIABILITY = (
+    ("stated, %", "{low} … {high}"),
+    ("names, by drone and tenth of a second", "{named}"),
+    ("right, %", "{right:.2p}"),
+)
+
+
 def _plot(args: argparse.Namespace, flights: dict[str, list[Flight]]) -> None:
-    if not args.plot:
-        return
     figure, axes = report.pyplot().subplots(
         len(flights),
         DRONES,
@@ -262,7 +306,7 @@ BENCH = Flights(
         PROCESSES,
     ),
     rows=_rows,
-    finish=_plot,
+    finish=_finish,
     facts=lambda args: {
         "seeds": args.seeds,
         "sigma_m": args.sigma,
@@ -279,6 +323,7 @@ BENCH = Flights(
         ("said", "{said} of {concerned}"),
         ("after, s", "{said_after_s[p50]:.1f}, {said_after_s[most]:.1f}"),
         ("falsely", "{falsely}"),
+        ("of 0.95 … 0.99 right, %", "{sure_right:.1p}"),
     ),
 )
 add_arguments, run = BENCH.add_arguments, BENCH.run

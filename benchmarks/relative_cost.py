@@ -2,7 +2,6 @@
 
 * Reading: `RelativeStates.at`, of 1, 5 and 10 teammates, between two scans.
 * Scan: `RelativeStates.observe` of as many.
-* Alignment: `align` of a full window, each sighting mutual: the dearest that a report can cost.
 * Publishing: a whole `Onboard` that tracks five drones, asked for its tracks a hundred times a second while poses come
   at 50 Hz, and its message encoded; once of teammates with names and places, once of five that nobody announced. The
   difference is what metres (and names) cost.
@@ -13,7 +12,6 @@ Processor time: medians, and means of messages (`swarmtrack bench cost --of metr
 from __future__ import annotations
 
 import argparse
-import math
 import time
 from itertools import count
 
@@ -25,8 +23,6 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.messages import Announcement, Array, Detections, EgoPose, FlightState, ImuSample, TrackList
 from swarmtrack.motion.ego import EgoHistory
-from swarmtrack.relative.alignment import WINDOW_S, FrameSight, SightErrors, align
-from swarmtrack.relative.frames import APART_S
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.reading import OwnMotion
@@ -37,11 +33,11 @@ from swarmtrack.wire.tracks import tracks_message
 
 REPEATS, QUICK_REPEATS = 3000, 200
 TEAMMATES = (1, 5, 10)
-READ_BUDGET_US, SCAN_BUDGET_MS, ALIGN_BUDGET_MS, PUBLISH_BUDGET_MS = 60.0, 1.0, 1.0, 0.1
 SPAN_M = 0.5
 POSE_HZ, FPS, PUBLISH_HZ = 50.0, 15.0, 100.0
 WARM_UP_S = 4.0
 IN_VIEW = 5
+READ_BUDGET_US, SCAN_BUDGET_MS, PUBLISH_BUDGET_MS = 60.0, 1.0, 0.1
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 STILL = OwnMotion(np.zeros(3), np.zeros(3), 0.01 * np.eye(3), 1e-4 * np.eye(3))
 
@@ -91,25 +87,6 @@ def scanning(n: int, repeats: int) -> Figure:
     looks = iter([look(n, t + (k + 1) / 7.0) for k in range(repeats + UNCOUNTED)])
     spent = median_s(lambda: states.observe(next(looks)), repeats, time.process_time)
     return Figure(f"scan of {n}", 1e3 * spent, "ms", SCAN_BUDGET_MS if n == max(TEAMMATES) else None)
-
-
-def circling() -> list[FrameSight]:
-    """A full window of a teammate that circles and sees us, too."""
-    sights = []
-    for t in np.arange(0.0, WINDOW_S, APART_S).tolist():
-        said = np.array([8.0 + 1.5 * math.cos(0.7 * t), 1.5 * math.sin(0.7 * t), 0.0])
-        far = float(np.linalg.norm(said))
-        sights.append(FrameSight(t, np.zeros(3), said, said / far, math.log(far), -said / far))
-    return sights
-
-
-def aligning(repeats: int) -> Figure:
-    """The frame of one teammate, from a full window."""
-    sights = circling()
-    errors = SightErrors(ray=8e-3, place=0.1, size=0.14, lasting=0.19, drift=0.02, turn_drift=0.002)
-    assert align(sights, sights[-1].t, errors) is not None
-    spent = median_s(lambda: align(sights, sights[-1].t, errors), repeats, time.process_time)
-    return Figure(f"align {len(sights)} mutual sightings", 1e3 * spent, "ms", ALIGN_BUDGET_MS)
 
 
 class Hovering:
@@ -202,6 +179,5 @@ def measured(args: argparse.Namespace) -> list[Figure]:
     return [
         *(reading(n, repeats) for n in TEAMMATES),
         *(scanning(n, few) for n in TEAMMATES),
-        aligning(few),
         *publishing(repeats),
     ]

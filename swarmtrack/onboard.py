@@ -350,7 +350,7 @@ class Onboard:
     def _compare(self, report: SightingReport) -> None:
         """Whom a teammate sees, and where it stands: do we see the same, and in which frame is that?"""
         self._events += self._consensus.compare(report)
-        news = self._metres.hear_sightings(report)
+        news = self._metres.hear_sightings(report, self._identities.frame)
         self._events += [] if news is None else [news]
 
     def _track(self, detections: Detections, t: float) -> None:

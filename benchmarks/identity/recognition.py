@@ -22,7 +22,7 @@ from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score.intervals import Interval, mean_interval
 from swarmtrack.lab.score.swarm_score import SCORE_HZ, Glance, SwarmScore, SwarmScorer, confirmed_tracks
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
-from swarmtrack.messages import PeerArrived
+from swarmtrack.messages import Array, PeerArrived
 
 SHARES = ("correct", "wrong", "unknown", "agreement")
 PARTED = "parted"
@@ -35,10 +35,11 @@ PARTED_S = 5.0
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """What came of one: the score, and how many announcements a drone made."""
+    """What came of one: the score, how many announcements a drone made, and `SwarmScorer.stated`."""
 
     score: SwarmScore
     announcements_per_drone: float
+    stated: Array
 
 
 def fly(scenario: str, drones: int, seconds: float, tracker: str, seed: int) -> Flight:
@@ -91,7 +92,8 @@ def judge(
         glance = judging.add_scan(scan, scan.t)
         if glance is not None and see is not None:
             see(glance)
-    return Flight(judging.scorer.score(), swarm.announcements / len(flown.members))
+    scorer, announcements = judging.scorer, swarm.announcements / len(flown.members)
+    return Flight(scorer.score(), announcements, scorer.stated)
 
 
 def summary(flights: Sequence[Flight]) -> dict[str, Any]:

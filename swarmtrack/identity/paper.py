@@ -73,6 +73,9 @@ class PaperIdentities:
     def on_motion(self, report: MotionReport) -> None:
         """Nor is it when it is reported."""
 
+    def frame(self, drone_id: int) -> None:
+        """Nor how frames stand to each other."""
+
     def on_report(self, report: SightingReport) -> None:
         """Nor are places later than the announced ones."""
 

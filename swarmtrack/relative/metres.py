@@ -30,7 +30,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.relative.detected import named_boxes
-from swarmtrack.relative.frames import FrameNews, Frames
+from swarmtrack.relative.frames import FrameNews, FrameOf, Frames
 from swarmtrack.relative.heights import HeightSight, SaidHeights
 from swarmtrack.relative.looks import NamedBox, TeamLook
 from swarmtrack.relative.parallax import FarOff
@@ -72,7 +72,7 @@ class Metres:
         strangers = replace(parameters, least_speed=STRANGER_LEAST_SPEED_M_S)
         self._anybody = RelativeStates(strangers) if places_anybody else None
         self._far_off = FarOff()
-        self._frames = Frames(drone_id, parameters)
+        self._frames = Frames(parameters.turn_sigma)
         self._range_watch = RangeWatch()
         self._said_heights = SaidHeights()
         self.height_sights: tuple[HeightSight, ...] = ()
@@ -102,15 +102,15 @@ class Metres:
             self._said_heights.hear_motion(report)
             self._teammates.hear_motion(self._frames.motion_in_ours(report))
 
-    def hear_sightings(self, report: SightingReport) -> FrameNews | None:
-        """Where a teammate is and what it sees. Returns news of how its frame stands to ours."""
+    def hear_sightings(self, report: SightingReport, frame: FrameOf) -> FrameNews | None:
+        """Where a teammate is and what it sees; frame: how its frame stands to ours. Returns news of that."""
         self._said_heights.hear_sightings(report)
         if report.observer == self._drone_id:
             return None
-        news = self._frames.add_report(report)
+        news = self._frames.judge(report, frame)
         if news is not None:
             self._teammates.reset(report.observer)
-        self._teammates.hear_sightings(self._frames.report_in_ours(report))
+        self._teammates.hear_sightings(*self._frames.report_in_ours(report))
         return news
 
     def hear_range(self, report: RangeReport) -> RangeNews | None:
@@ -143,7 +143,6 @@ class Metres:
             named = {entry.track.id for entry in tracks if isinstance(entry.identity, int)}
             self._far_off.observe(nameless.without(named))
         look = looked(named_boxes(tracks, scan, R, number))
-        self._frames.add_look(look)
         self._teammates.observe(look)
         first = observer.pose @ self._cameras[0].body_from_camera
         own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))

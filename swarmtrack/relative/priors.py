@@ -46,6 +46,14 @@ MOST_ROLL_RAD = math.radians(35.0)
 # A box that is nearer to the border may be cut off.
 WHOLE_BOX_BORDER_PX = 2.0
 
+# Frames (`frames`): between two judgements of a teammate's frame, and how often in a row it must be otherwise before
+# that is reported.
+FRAME_JUDGED_EVERY_S, FRAME_JUDGED_TIMES = 1.5, 3
+# What is worth a word.
+FRAME_OFF_LEAST_M, FRAME_OFF_LEAST_RAD = 0.5, math.radians(4.0)
+# Of two places that are compared: nobody reports where its camera is.
+FRAME_PLACE_SIGMA_M = 0.1
+
 # Heights (`heights`): a teammate's reports are kept so long; reports farther from the scan than this tell nothing of
 # its height then.
 HEIGHT_REPORTS_KEPT_S, HEIGHT_CARRIED_S = 3.0, 0.6

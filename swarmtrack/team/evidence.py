@@ -18,6 +18,7 @@ own heading error. y is linear in them nearby, and they are integrated out as we
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -114,12 +115,38 @@ class TeammatePrior:
         return cls(*(np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (y, far)))
 
 
-class Place(NamedTuple):
-    """One Gaussian of where a teammate is: log_share among those of its component; mean (3,) m, cov (3, 3) m²."""
+class Solution(NamedTuple):
+    """One Gaussian of z = z0 + L (ε, δ, q): mean x (5,) and covariance cov (5, 5) of these; log_share among those of
+    its component."""
 
     log_share: float
-    mean: Array
+    z0: Array
+    L: Array
+    x: Array
     cov: Array
+
+    def place(self, G: Array) -> tuple[Array, Array]:
+        """Mean (3,) m and covariance (3, 3) of G z; G (3, 8): `design`."""
+        to_place = G @ self.L
+        return G @ (self.z0 + self.L @ self.x), to_place @ self.cov @ to_place.T
+
+    def frame(self, G: Array) -> tuple[Array, Array]:
+        """Mean (4,) and covariance (4, 4) of G z [m] and θ [rad]."""
+        cos, sin = self.z0[:2]
+        to_frame = np.vstack([G @ self.L, cos * self.L[1] - sin * self.L[0]])
+        centre = np.append(G @ self.z0, math.atan2(sin, cos))
+        return centre + to_frame @ self.x, to_frame @ self.cov @ to_frame.T
+
+
+def moments(found: Sequence[tuple[float, tuple[Array, Array]]]) -> tuple[Array, Array]:
+    """Mean and covariance of a mixture of Gaussians: of each its log weight, its mean and its covariance."""
+    log = np.array([log for log, _ in found])
+    w = np.exp(log - log.max())
+    w /= w.sum()
+    mean = w @ np.array([mean for _, (mean, _) in found])
+    off = np.array([mean for _, (mean, _) in found]) - mean
+    spread = np.array([cov for _, (_, cov) in found]) + off[:, :, None] * off[:, None, :]
+    return mean, np.einsum("i,iab->ab", w, spread)
 
 
 class Marginal:
@@ -199,35 +226,51 @@ class Marginal:
         log += self._log_volume[:, :1] + self._log_far - math.log(far.shape[2])
         return np.asarray(np.logaddexp.reduce(log, axis=1))
 
-    def places(
-        self, M: Array, G: Array, *, prior: TeammatePrior, errors: OwnErrors, k: int, heading_sigma: float
-    ) -> list[Place]:
-        """Where the teammate is by one component k, with its start as stated and off. M (8, 8): of the one pair; G
-        (3, 8): `design` of where it says that it is."""
-        y, s = prior.y[:, :, k], int(np.searchsorted(self._spreads, errors.spread[k]))
-        sigma = heading_sigma if k == 0 else float(errors.sigma[k])
-        L = np.zeros((8, 5))
-        L[:LEVEL, :2] = y[:LEVEL, 1:]
-        L[LEVEL:, 2:] = np.eye(3)
-        z0 = np.concatenate([y[:LEVEL, 0], np.zeros(3)])
-        found = []
-        for c, log_share in enumerate(self._log_shares[int(errors.loose[k])]):
-            P = self._P[c * len(self._spreads) + s]
-            to_mu = np.concatenate([-y[LEVEL:, 1:2], np.zeros((3, 1)), np.eye(3)], axis=1)
-            A = L.T @ M @ L + to_mu.T @ P @ to_mu
-            A[0, 0] += sigma**-2
-            A[1, 1] += TEAMMATE_HEADING_SIGMA_RAD**-2
-            mu = y[LEVEL:, 0]
-            x = np.linalg.solve(A, to_mu.T @ P @ mu - L.T @ M @ z0)
-            quad = z0 @ M @ z0 + mu @ P @ mu - x @ A @ x
-            log_det = np.linalg.slogdet(A)[1] - np.linalg.slogdet(P)[1]
-            to_place = G @ L
-            found.append(
-                Place(
-                    log_share - 0.5 * float(quad) - 0.5 * float(log_det),
-                    G @ (z0 + L @ x),
-                    to_place @ np.linalg.solve(A, to_place.T),
-                )
-            )
-        most = float(np.logaddexp.reduce([one.log_share for one in found]))
-        return [one._replace(log_share=one.log_share - most) for one in found]
+    def solutions(
+        self,
+        M: Array,
+        prior: TeammatePrior,
+        errors: OwnErrors,
+        *,
+        k: int,
+        heading_sigma: float,
+        far: bool = False,
+    ) -> list[Solution]:
+        """The Gaussians of z by one component k, with the teammate's start as stated and off; far: also, by the first
+        component, with its heading anywhere. M (8, 8): of the one pair."""
+        c = self._log_shares.shape[1]
+        s = int(np.searchsorted(self._spreads, errors.spread[k]))
+        y, P = np.repeat(prior.y[None, :, :, k], c, axis=0), self._P[s :: len(self._spreads)]
+        sigma = np.array([[heading_sigma if k == 0 else float(errors.sigma[k]), TEAMMATE_HEADING_SIGMA_RAD]])
+        sigma, log_share = np.repeat(sigma, c, axis=0), self._log_shares[int(errors.loose[k])]
+        if far and k == 0:
+            n = prior.far.shape[2]
+            turned = np.repeat(prior.y[None, :, :, 0], n, axis=0)
+            turned[:, :, [0, 2]] = prior.far.transpose(2, 0, 1)
+            turned[:, :2, 1] = -turned[:, :2, 2]
+            y, P = np.concatenate([y, turned]), np.concatenate([P, np.repeat(self._P[:1], n, axis=0)])
+            sigma = np.concatenate([sigma, [[heading_sigma, TEAMMATE_HEADING_CELL_SIGMA_RAD]] * n])
+            log_share = np.append(log_share, [self._log_far - math.log(n)] * n)
+        return _solved(M, P, y, sigma, log_share)
+
+
+def _solved(M: Array, P: Array, y: Array, sigma: Array, log_share: Array) -> list[Solution]:
+    """y (n, 8, 3): at centres, and its derivatives by ε and δ, of these sigmas (n, 2) rad; P (n, 3, 3): inverse
+    covariances of q; log_share (n,): prior."""
+    n = len(y)
+    L, to_mu = np.zeros((n, 8, 5)), np.zeros((n, 3, 5))
+    L[:, :LEVEL, :2], L[:, LEVEL:, 2:] = y[:, :LEVEL, 1:], np.eye(3)
+    to_mu[:, :, 0], to_mu[:, :, 2:] = -y[:, LEVEL:, 1], np.eye(3)
+    z0, mu = y[:, :, 0].copy(), y[:, LEVEL:, 0]
+    z0[:, LEVEL:] = 0.0
+    by_prior = to_mu.swapaxes(1, 2) @ P
+    by_bearings = L.swapaxes(1, 2) @ M
+    A = by_bearings @ L + by_prior @ to_mu
+    A[:, [0, 1], [0, 1]] += sigma**-2.0
+    x = np.linalg.solve(A, by_prior @ mu[:, :, None] - by_bearings @ z0[:, :, None])[:, :, 0]
+    quad = (z0 @ M * z0).sum(axis=1)
+    quad += np.einsum("na,nab,nb->n", mu, P, mu) - np.einsum("na,nab,nb->n", x, A, x)
+    log_det = np.linalg.slogdet(A)[1] - np.linalg.slogdet(P)[1] + 2.0 * np.log(sigma).sum(axis=1)
+    log = log_share - 0.5 * (quad + log_det)
+    log -= np.logaddexp.reduce(log)
+    return [Solution(*one) for one in zip(log.tolist(), z0, L, x, np.linalg.inv(A), strict=True)]

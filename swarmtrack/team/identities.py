@@ -13,6 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
+from swarmtrack.geometry.frame_transform import FrameTransform
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.news import Astray, IdentityNews
 from swarmtrack.identity.parameters import IdentityParameters
@@ -147,6 +148,10 @@ class Identities:
         for drone in self._posterior.teammates.keys() - self.teammates.announced.keys():
             self._posterior.expel(drone)
         self._names = {id: name for id, name in self._names.items() if name[0] in self._posterior.teammates}
+
+    def frame(self, drone_id: int) -> FrameTransform | None:
+        """How the frame of a teammate in view stands to that of the own rays; None where it is not in view."""
+        return self._posterior.frame(drone_id)
 
     # --- what this drone sees ---
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array, OwnFault
-from swarmtrack.team.evidence import Marginal, TeammatePrior
+from swarmtrack.team.evidence import Marginal, Solution, TeammatePrior, moments
 from swarmtrack.team.matchings import match_all, worth_matching
 from swarmtrack.team.own_errors import ConfigFault, OwnErrors
 from swarmtrack.team.pasts import any_or_none, each_past_once, log_ratios, pasts_from_now
@@ -319,37 +319,43 @@ class JointMixture:
     def stated_place(self, mate: Teammate, design: Array, known: OwnKnowledge) -> tuple[Array, Array]:
         """As `place`, with all starts as stated."""
         M = np.zeros((8, 8))
-        first = self._marginal(mate, M[None], np.zeros(1, int), known).places(
-            M,
-            design,
-            prior=self._priors[mate.drone_id],
-            errors=self.errors,
-            k=0,
-            heading_sigma=known.heading_sigma,
-        )[0]
-        return first.mean, first.cov
+        marginal = self._marginal(mate, M[None], np.zeros(1, int), known)
+        return self._solutions(marginal, mate, M, 0, known)[0].place(design)
 
     def place(
         self, track: TrackEvidence, mate: Teammate, design: Array, t: float, known: OwnKnowledge
     ) -> tuple[Array, Array]:
         """Where a teammate is that is that track: mean (3,) m from the own camera and covariance (3, 3), in the axes of
         the own rays. design (3, 8): `evidence.design` of where it says that it is."""
+        found = self._likely(track, mate, t, known, far=False)
+        return moments([(log, one.place(design)) for log, one in found])
+
+    def frame(
+        self, track: TrackEvidence, mate: Teammate, design: Array, t: float, known: OwnKnowledge
+    ) -> tuple[Array, Array]:
+        """How the frame of a teammate that is that track stands to the axes of the own rays: mean (4,) and covariance
+        (4, 4) of where it has its origin, m from the own camera, and by how much it is turned, rad, clockwise from
+        above. design (3, 8): `evidence.design` of its origin."""
+        found = self._likely(track, mate, t, known, far=True)
+        return moments([(log, one.frame(design)) for log, one in found])
+
+    def _likely(
+        self, track: TrackEvidence, mate: Teammate, t: float, known: OwnKnowledge, *, far: bool
+    ) -> list[tuple[float, Solution]]:
+        """By the likeliest components, with their log weights."""
         cases, weight = track.told().since(track.likeliest_segment, mate.column)
         M = mate.told(t) + cases[int(weight.argmax())]
         likely = np.argsort(-self.weight)[:PLACE_COMPONENTS]
         marginal = self._marginal(mate, M[None], likely, known)
-        log, mean, spread = [], [], []
-        for k in likely.tolist():
-            if self.weight[k] > 0.0:
-                prior = self._priors[mate.drone_id]
-                for one in marginal.places(
-                    M, design, prior=prior, errors=self.errors, k=k, heading_sigma=known.heading_sigma
-                ):
-                    log.append(one.log_share + math.log(self.weight[k]))
-                    mean.append(one.mean)
-                    spread.append(one.cov)
-        w = np.exp(np.array(log) - max(log))
-        w /= w.sum()
-        m = w @ np.array(mean)
-        off = np.array(mean) - m
-        return m, np.einsum("i,iab->ab", w, np.array(spread) + off[:, :, None] * off[:, None, :])
+        return [
+            (one.log_share + math.log(self.weight[k]), one)
+            for k in likely.tolist()
+            if self.weight[k] > 0.0
+            for one in self._solutions(marginal, mate, M, k, known, far=far)
+        ]
+
+    def _solutions(
+        self, marginal: Marginal, mate: Teammate, M: Array, k: int, known: OwnKnowledge, *, far: bool = False
+    ) -> list[Solution]:
+        prior = self._priors[mate.drone_id]
+        return marginal.solutions(M, prior, self.errors, k=k, heading_sigma=known.heading_sigma, far=far)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.geometry import rotation
+from swarmtrack.geometry.frame_transform import FrameTransform
 from swarmtrack.messages import AgreedMotion, Announcement, Array
 from swarmtrack.team.adrift import Adrift
 from swarmtrack.team.deviation import Deviation
@@ -476,6 +477,19 @@ class TeamPosterior:
         G = self._design(mate, said, track.camera)
         mean, cov = self.mixture.place(track, mate, G, t, self._known)
         return mean, cov + (said.sigma**2 + said.white) * np.eye(3)
+
+    def frame(self, drone_id: int) -> FrameTransform | None:
+        """How the frame of a teammate that is surely in view stands to that of the own rays."""
+        mate = self.teammates.get(drone_id)
+        track_id = next((id for id, named in self.named.items() if named.likeliest[0] == drone_id), None)
+        if mate is None or track_id is None or self.named[track_id].likeliest[1] < P_FRAME_KEPT:
+            return None
+        track = self._tracks[track_id]
+        scan = self._scans[track.camera][-1]
+        assert self._start is not None
+        G = design(-mate.start[None], scan.origin - self._start)[0]
+        mean, cov = self.mixture.frame(track, mate, G, scan.t, self._known)
+        return FrameTransform(float(mean[3]), scan.origin + mean[:3], cov)
 
     def _design(self, mate: Teammate, said: SaidPlace, camera: int) -> Array:
         """(3, 8): `evidence.design` of where a teammate says that it is, from a camera's last scan."""

@@ -11,7 +11,7 @@ from pathlib import Path
 from support.places import ROOT
 
 LIBRARY = ROOT / "swarmtrack"
-EXEMPT = {LIBRARY / "relative" / name for name in ("alignment.py", "frames.py", "gates.py")}
+EXEMPT = {LIBRARY / "relative" / name for name in ("gates.py",)}
 # Words that do not say of what: alone, or with nothing but a unit behind them, they are no name.
 BARE = {
     "AHEAD", "APART", "ATTEMPTS", "BACKLOG", "BATCH", "BLOCK", "BORDER", "CAREFUL", "COARSEST", "DOUBT", "ENOUGH",

@@ -136,24 +136,20 @@ def test_bearings_turn_along_with_a_heading_that_steps():
         assert z @ matrix(turned) @ z == pytest.approx(old @ matrix(found) @ old)
 
 
-def test_places_follow_what_the_teammate_says():
+def test_places_and_frames_follow_what_the_teammate_says():
     found = bearings(np.random.default_rng(11), count=20)
     M = matrix(found)
     marginal = Marginal(M[None], COV, SPREADS, doubting=False)
     place, way = np.array([1.0, -2.0, 0.5]), np.array([-1.0, 0.5, 0.0])
     prior = TeammatePrior.of(MATE, ERRORS)
-    best = max(
-        marginal.places(
-            M,
-            design(place[None], way)[0],
-            prior=prior,
-            errors=ERRORS,
-            k=0,
-            heading_sigma=math.radians(3.0),
-        ),
-        key=lambda one: one.log_share,
-    )
-    true = PADS[MATE] + place - PADS[OWN] - way
-    error = best.mean - true
-    assert error @ np.linalg.solve(best.cov, error) < 16.0
-    assert np.sqrt(np.trace(best.cov)) < 1.0
+    found = marginal.solutions(M, prior, ERRORS, k=0, heading_sigma=math.radians(3.0), far=True)
+    assert np.exp([one.log_share for one in found]).sum() == pytest.approx(1.0)
+    best = max(found, key=lambda one: one.log_share)
+    mean, cov = best.place(design(place[None], way)[0])
+    error = mean - (PADS[MATE] + place - PADS[OWN] - way)
+    assert error @ np.linalg.solve(cov, error) < 16.0
+    assert np.sqrt(np.trace(cov)) < 1.0
+    mean, cov = best.frame(design(-PADS[MATE][None], way)[0])
+    error = mean - np.append(-PADS[OWN] - way, 0.0)
+    assert error @ np.linalg.solve(cov, error) < 20.0
+    assert math.sqrt(cov[3, 3]) < math.radians(4.0)

@@ -45,6 +45,7 @@ from swarmtrack.messages import FOREIGN, Array, Identity, TrackList, TrackStatus
 
 GRACE = 1.0  # s that an observer has to recognise who came into view
 SCORE_HZ = 10  # of glances
+STATED_BINS = 100  # of probabilities that names are stated with
 MIN_SWARM_HIT_RADIUS_PX = (
     15.0  # px: a track further off than this, and than half the box, is of something else
 )
@@ -185,6 +186,8 @@ class SwarmScorer:
         self._verdicts: Counter[str] = Counter()
         self._named = self._proved = 0
         self._wrong_max_probability = math.nan
+        self.stated = np.zeros((STATED_BINS, 2), int)
+        """(bins, 2): of names by their probability, bins of equal width: how many, and how many of them right."""
         self._false_tracks: set[tuple[int, str, int]] = set()
         self._squared_errors: dict[int, list[float]] = defaultdict(list)
         self._names: dict[tuple[int, int], list[int | str]] = defaultdict(list)
@@ -284,6 +287,9 @@ class SwarmScorer:
             self._squared_errors[glance.observer].append(_distance(glance, drone_id, track) ** 2)
             if track.identity is not None:
                 self._names[glance.index, drone_id].append(track.identity)
+            if isinstance(track.identity, int):
+                stated = min(int(track.identity_probability * STATED_BINS), STATED_BINS - 1)
+                self.stated[stated] += 1, track.identity == drone_id
             if track.identity == drone_id:
                 self._named += 1
                 self._proved += track.proved
