@@ -1,10 +1,8 @@
 """What an agent costs: tracker, detector, and whole processes (`swarmtrack bench cost --of agent`).
 
 Functions are timed in this process, median of many calls. The agent is a process of its own, with a MAVLink autopilot
-played over UDP (200 Hz of gyro), 15 Hz of frames and a listener on Zenoh; what it costs is read from /proc and from its
-health, and its latency is measured from outside: from the exposure of a frame to the arrival of the first message with
-its tracks at another process. Start-up is that of the real program on the simulation, from fork to the first confirmed
-track.
+played over UDP (200 Hz of gyro), 15 Hz of frames and a listener on Zenoh; its latency is measured from outside: from
+the exposure of a frame to the arrival of the first message with its tracks at another process.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import copy
 import os
 import time
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +28,7 @@ from swarmtrack.benchmarks.lone_agent import (
 )
 from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.trackers.timing import at_cost
 from swarmtrack.detection.detector import Detector
 from swarmtrack.messages import Frame, Scan, StampKind
 from swarmtrack.tracking import create_tracker
@@ -58,12 +57,10 @@ def measured(args: argparse.Namespace) -> list[Figure]:
 
 
 def tracker_lines(name: str, repeats: int) -> list[Figure]:
-    turn = np.eye(3)  # a rotation is always given in flight
-    lines = []
-    for n, budget in ((10, 50.0), (200, None)):
-        tracker = _tracking(name, n)
-        duration = median_s(partial(tracker.at, 0.05, turn, 1e-6), repeats)
-        lines.append(Figure(f"`at(now)`, {n} tracks, {name}", 1e6 * duration, "µs", budget))
+    lines = [
+        Figure(f"`at(now)`, {n} tracks, {name}", 1e3 * at_cost(name, n, repeats=repeats).ms, "µs", budget)
+        for n, budget in ((10, 50.0), (200, None))
+    ]
     crowd, scan = _crowd(name)
     durations = []
     for _ in range(repeats):
@@ -73,13 +70,6 @@ def tracker_lines(name: str, repeats: int) -> list[Figure]:
         durations.append(time.perf_counter() - began)
     what = f"update, 8 tracks × 18 detections in one gate, {name}"
     return [*lines, Figure(what, 1e3 * float(np.median(durations)), "ms", UPDATE_BUDGET_MS.get(name))]
-
-
-def _tracking(name: str, n: int) -> Tracker:
-    """A tracker with n confirmed tracks all over the image."""
-    tracker = create_tracker(name, camera=CAMERA)
-    tracker.initiate(0.0, np.random.default_rng(2).uniform((20, 20), (620, 460), (n, 2)))
-    return tracker
 
 
 def _crowd(name: str) -> tuple[Tracker, Scan]:
@@ -122,13 +112,16 @@ def agent_lines(tracker: str, seconds: float) -> list[Figure]:
     """An agent without the detector: one that sleeps as long as the default model takes stands in for it."""
     measured = measure_agent(tracker, seconds, ["--look-ms", str(LOOK_MS)])
     p50, p95 = (latency - LOOK_MS for latency in measured.latency_ms)
-    who = "agent without the detector, 5 tracks:"
+    who, heard = (
+        "agent without the detector, 5 tracks:",
+        "frame exposed → tracks heard elsewhere, beyond the detector",
+    )
     return [
         Figure(f"{who} gyro samples reaching Onboard", measured.health.rates["imu"].got_hz, "Hz"),
         Figure(f"{who} CPU", measured.cpu_percent, "% of a core", 6.0),
         Figure(f"{who} memory, the idle model included", measured.rss_mb, "MB", 150.0),
-        Figure("frame exposed → tracks heard elsewhere, beyond the detector, median", p50, "ms"),
-        Figure("frame exposed → tracks heard elsewhere, beyond the detector, p95", p95, "ms", 10.0),
+        Figure(f"{heard}, median", p50, "ms"),
+        Figure(f"{heard}, p95", p95, "ms", 10.0),
     ]
 
 
@@ -173,28 +166,19 @@ async def _measure_agent(tracker: str, seconds: float, options: list[str]) -> Me
 
 def startup_lines(times: int) -> list[Figure]:
     """The real program on the simulation, from fork to the first confirmed track heard."""
-    durations = []
-    for _ in range(times):
-        team = f"bench-{os.getpid()}"
-        entries = {
-            "drone.id": 1,
-            "camera.source": "sim://hover-triangle?seed=1",
-            "autopilot.link": "sim",
-            "network.team": team,
-        }
+    took = float(np.median([asyncio.run(_first_track()) for _ in range(times)]))
+    return [Figure("start of the program → first confirmed track heard, simulation", took, "s")]
 
-        async def first_track(team: str = team, entries: dict[str, Any] = entries) -> float:
-            # The listener is up first, so that finding each other is all that is added to the agent's own start.
-            async with listening(team) as heard:
-                began = time.monotonic()
-                with agent_process(["swarmtrack.agents.vehicle", "--quiet"], entries) as process:
-                    await until_tracking(process, heard)
-                    assert heard.first_track_at is not None
-                    return heard.first_track_at - began
 
-        durations.append(asyncio.run(first_track()))
-    return [
-        Figure(
-            "start of the program → first confirmed track heard, simulation", float(np.median(durations)), "s"
-        )
-    ]
+async def _first_track() -> float:
+    entries = {"drone.id": 1, "camera.source": "sim://hover-triangle?seed=1", "autopilot.link": "sim"}
+    team = f"bench-{os.getpid()}"
+    # The listener is up first, so that finding each other is all that is added to the agent's own start.
+    async with listening(team) as heard:
+        began = time.monotonic()
+        with agent_process(
+            ["swarmtrack.agents.vehicle", "--quiet"], entries | {"network.team": team}
+        ) as process:
+            await until_tracking(process, heard)
+            assert heard.first_track_at is not None
+            return heard.first_track_at - began

@@ -86,27 +86,17 @@ def _least(rounds: list[Probed]) -> Probed:
 
 def _page(found: dict[str, Any]) -> str:
     if "here" in found:
-        rows = [
-            {"what": name, "here": value, "beside": found["beside"][name]}
-            for name, value in found["here"].items()
-        ]
-        columns: report.Columns = (
-            ("", "{what}"),
-            ("beside", "{beside:.3g}"),
-            ("here", "{here:.3g}"),
-            ("here / beside", lambda row: f"{row['here'] / row['beside']:.2f}"),
-        )
-        return report.page("# Cost", report.table_of(columns, rows))
+        pairs = [(name, found["beside"][name], here) for name, here in found["here"].items()]
+        rows = [[what, f"{then:.3g}", f"{now:.3g}", f"{now / then:.2f}"] for what, then, now in pairs]
+        return report.page("# Cost", report.table(["", "beside", "here", "here / beside"], rows))
     sections = [f"## {PARTS[part][1]}\n\n{figures.table(of_part)}" for part, of_part in found.items()]
     return report.page("# Cost", *sections)
 
 
 def _record(found: dict[str, Any]) -> dict[str, Any]:
-    return (
-        found
-        if "here" in found
-        else {part: [one.record() for one in of_part] for part, of_part in found.items()}
-    )
+    if "here" in found:
+        return found
+    return {part: [one.record() for one in of_part] for part, of_part in found.items()}
 
 
 BENCH = Benchmark(

@@ -212,12 +212,12 @@ class Flight(NamedTuple):
 
 @asynccontextmanager
 async def flying_agent(sky: Sky, speed: float) -> AsyncIterator[asyncio.subprocess.Process]:
-    """A real agent (`guarded_agent.py`) that flies the drone of a sky north with `speed` [m/s]; killed at the end."""
+    """A real agent (`scripted_agent.py`) that flies the drone of a sky north with `speed` [m/s]; killed at the end."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "drone.toml"
         config.write_text(CONFIG.format(port=sky.port))
         async with sky.served():
-            words = ("swarmtrack.benchmarks.guarded_agent", str(config), str(speed))
+            words = ("swarmtrack.benchmarks.scripted_agent", "--config", str(config), "--flies", str(speed))
             async with module_process(*words, stderr=asyncio.subprocess.DEVNULL) as agent:
                 yield agent
 

@@ -109,7 +109,8 @@ def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subpro
     dotted keys, is an array of tables: `{"camera": [{"source": …}, …]}`."""
     with tempfile.TemporaryDirectory() as folder:
         config = Path(folder) / "drone.toml"
-        config.write_text(_as_toml(entries), encoding="utf-8")
+        lines = (f"{key} = {_as_toml(value)}\n" for key, value in entries.items())
+        config.write_text("".join(lines), encoding="utf-8")
         command = [sys.executable, "-m", *module, "--config", str(config)]
         process = subprocess.Popen(command, env=agent_environment(), stdout=subprocess.DEVNULL)
         try:
@@ -123,17 +124,14 @@ def agent_process(module: list[str], entries: dict[str, Any]) -> Iterator[subpro
                 process.wait()
 
 
-def _as_toml(entries: Mapping[str, Any]) -> str:
-    plain = {key: value for key, value in entries.items() if not _is_tables(value)}
-    text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in plain.items())
-    for key, tables in entries.items():
-        if _is_tables(tables):
-            text += "".join(f"[[{key}]]\n{_as_toml(table)}" for table in tables)
-    return text
-
-
-def _is_tables(value: Any) -> bool:
-    return isinstance(value, list) and bool(value) and all(isinstance(one, dict) for one in value)
+def _as_toml(value: Any) -> str:
+    match value:
+        case dict():
+            return f"{{ {', '.join(f'{key} = {_as_toml(one)}' for key, one in value.items())} }}"
+        case list():
+            return f"[{', '.join(map(_as_toml, value))}]"
+        case _:
+            return json.dumps(value)
 
 
 @asynccontextmanager

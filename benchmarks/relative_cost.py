@@ -18,7 +18,7 @@ from itertools import count
 import numpy as np
 
 from swarmtrack.benchmarks.figures import UNCOUNTED, Figure, median_s
-from swarmtrack.benchmarks.lone_onboard import lone_onboard
+from swarmtrack.benchmarks.virtual_swarm import lone_onboard
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.messages import Announcement, Array, Detections, EgoPose, FlightState, ImuSample, TrackList

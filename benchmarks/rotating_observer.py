@@ -25,7 +25,7 @@ from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import TRACKER, Benchmark, flown, seeds
-from swarmtrack.benchmarks.lone_onboard import lone_onboard
+from swarmtrack.benchmarks.virtual_swarm import lone_onboard
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import HOVER_S, Scenario
 from swarmtrack.lab.score.intervals import Interval, bootstrap_interval

@@ -16,7 +16,9 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.geometry import rotation
+from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.scenarios.oracle import OracleDetector
 from swarmtrack.lab.scenarios.scenario import Scenario
@@ -43,12 +45,14 @@ from swarmtrack.perceived import Perceived
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion, filed_announcement
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_trackers
+from swarmtrack.tracking.base import Tracker
 
 RADIO_S = 0.05  # s from a question to the announcement it asked for
 REPORT_S, SOONEST_REPORT_S = 1.0, 0.1  # s between two reports of sightings, of the same and of others
 CLOCK_SIGMA = 0.01  # s: what a drone knows of its teammates' clocks
 LATENCY_S = 0.08  # s from exposure to detections
 LEAD_S = 1.0  # s that the sensors run before world time 0
+LOOKS_AHEAD = Pose(BODY_FROM_FORWARD_CAMERA, np.zeros(3))
 
 
 class Exposure(NamedTuple):
@@ -407,3 +411,24 @@ class VirtualSwarm:
 def _yaw(angle: float) -> Array:
     """(3, 3): a turn about the vertical axis, rad."""
     return rotation.from_euler(0.0, 0.0, angle)
+
+
+def lone_onboard(
+    camera: PinholeCamera,
+    tracker: Tracker,
+    body_from_camera: Pose = LOOKS_AHEAD,
+    *,
+    drone_id: int = 1,
+    ego: EgoHistory | None = None,
+    relative: RelativeParameters | None = None,
+) -> Onboard:
+    """The `Onboard` of a drone with one camera and nobody to talk to, with an agent's parameters where nothing else is
+    said."""
+    return Onboard(
+        drone_id,
+        cameras=[OnboardCamera(camera, Mounting(body_from_camera), tracker)],
+        gyro=GyroHistory(),
+        ego=ego or EgoHistory(),
+        identity=IdentityParameters(),
+        relative=relative,
+    )

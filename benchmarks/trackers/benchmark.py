@@ -17,17 +17,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any, NamedTuple
 
+from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import Command, Option, flag, option, pool
-from swarmtrack.benchmarks.trackers import page, results, timing
-from swarmtrack.benchmarks.trackers import peers as tracker_peers
+from swarmtrack.benchmarks.trackers import page, timing
 from swarmtrack.benchmarks.trackers.play import MakePlayer, Score, applies, late_difference, record, score
-from swarmtrack.benchmarks.trackers.programme import Played, Programme, Result
+from swarmtrack.benchmarks.trackers.results import Played, Programme, Result, row
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.tracking import DEFAULT_TRACKER, TRACKERS
 
 NAME = "trackers"
 PEER_RUNS = 25  # they cost a hundred times as much
+PEER_PREFIX = "ss_"
 BLOCK = 5  # runs that one process does at a time
 PEER_FAMILIES = ("paper", "crossing")
 ABLATION_SCENES = ("slow", "slow_merged", "pd.80", "crossing", "told_wrong_R_quarter_noise.50")
@@ -102,20 +103,28 @@ add_arguments, run = BENCH.add_arguments, BENCH.run
 def found(programme: Programme) -> Result:
     """Play and time."""
     began = time.monotonic()
-    peers = tracker_peers.load() if programme.peers else {}
+    peers = load_peers() if programme.peers else {}
     blocks = [*_blocks(programme, tuple(peers)), *_ablation_blocks(programme)]
     played = play_all(blocks, programme.jobs)
     costs, enumerated, reference = _time(programme, peers)
     ablation = [
-        results.row(SCENES[scene], label.removeprefix(ABLATED), scores)
+        row(SCENES[scene], label.removeprefix(ABLATED), scores)
         for (scene, label), scores in played.items()
         if label.startswith(ABLATED)
     ]
     compared = {cell: scores for cell, scores in played.items() if not cell[1].startswith(ABLATED)}
-    rows = [results.row(SCENES[scene], label, scores) for (scene, label), scores in compared.items()]
+    rows = [row(SCENES[scene], label, scores) for (scene, label), scores in compared.items()]
     wall = time.monotonic() - began
     difference = {tracker: late_difference(tracker) for tracker in programme.own}
     return Result(programme, rows, compared, ablation, costs, enumerated, reference, difference, wall)
+
+
+def load_peers() -> Mapping[str, MakePlayer]:
+    """By name; raises MissingExtraError where Stone Soup is not installed."""
+    require_extra("peers", "stonesoup", of="--peers")
+    from swarmtrack.benchmarks.trackers.peers import PEERS  # noqa: PLC0415  # an extra
+
+    return PEERS
 
 
 def play_all(blocks: Sequence[Block], jobs: int) -> Played:
@@ -135,8 +144,8 @@ def play_block(block: Block) -> list[list[Score]]:
     """The scores of each entrant, run by run."""
     scene = SCENES[block.scene]
     peers: Mapping[str, MakePlayer] = {}
-    if any(entrant.tracker.startswith(tracker_peers.PREFIX) for entrant in block.entrants):
-        peers = tracker_peers.load()
+    if any(entrant.tracker.startswith(PEER_PREFIX) for entrant in block.entrants):
+        peers = load_peers()
     scores: list[list[Score]] = [[] for _ in block.entrants]
     for number in block.runs:
         take = film(scene, number)

@@ -5,13 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.report import number
-from swarmtrack.benchmarks.trackers import plots as tracker_plots
-from swarmtrack.benchmarks.trackers.programme import Result
-from swarmtrack.benchmarks.trackers.results import Row, by_cell
+from swarmtrack.benchmarks.trackers import plots
+from swarmtrack.benchmarks.trackers.results import Result, Row, by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, SEED
 from swarmtrack.benchmarks.trackers.verdicts import Verdict, verdicts
 from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
@@ -35,23 +33,8 @@ FEW_FAILURES = 0.01
 
 
 def write(out: Path, name: str, result: Result) -> None:
-    found = verdicts(
-        result.rows,
-        played=result.played,
-        costs=result.costs,
-        enumeration=result.enumeration,
-        late_difference=result.late_difference,
-        trackers=result.programme.own,
-    )
-    out.mkdir(parents=True, exist_ok=True)
-    plots = tracker_plots.draw(out, result)
-    report.write_rows(out, name, result.rows, _markdown(result, found, plots), about=_about(result, found))
-
-
-def _about(result: Result, found: Sequence[Verdict]) -> dict[str, Any]:
-    """What stands beside the rows, in trackers_machine.json."""
-    programme = result.programme
-    return {
+    found, programme = verdicts(result), result.programme
+    about = {
         "seed": SEED,
         "quick": programme.quick,
         "jobs": programme.jobs,
@@ -62,9 +45,10 @@ def _about(result: Result, found: Sequence[Verdict]) -> dict[str, Any]:
         "enumeration": result.enumeration._asdict() if result.enumeration else None,
         "ablation": result.ablation,
     }
+    report.write_rows(out, name, result.rows, _markdown(result, found, plots.draw(out, result)), about=about)
 
 
-def _markdown(result: Result, found: Sequence[Verdict], plots: Sequence[tuple[str, str]]) -> str:
+def _markdown(result: Result, found: Sequence[Verdict], drawn: Sequence[tuple[str, str]]) -> str:
     by_family = {
         title: _family(family, rows)
         for family, title in FAMILIES.items()
@@ -81,7 +65,7 @@ def _markdown(result: Result, found: Sequence[Verdict], plots: Sequence[tuple[st
         "# The trackers",
         _preface(result),
         *(f"## {title}\n\n{text}" for title, text in sections.items() if text),
-        *(f"![{caption}]({file})\n*{caption}.*" for file, caption in plots),
+        *(f"![{caption}]({file})\n*{caption}.*" for file, caption in drawn),
     )
 
 
@@ -131,24 +115,15 @@ def _choice(result: Result) -> str:
     rows = []
     for situation, scene in situations.items():
         own = [cells[scene, tracker] for tracker in result.programme.own if (scene, tracker) in cells]
-        if not own:
-            continue
-        best = min(own, key=_badness)
-        enough = [
-            cell
-            for cell in own
-            if _failed(cell) <= _failed(best) + FEW_FAILURES
-            and cell["rmse_px"]["median"] <= 1.1 * best["rmse_px"]["median"]
-        ]
-        cheapest = min(enough, key=lambda cell: cell["ms_per_scan"])
-        rows.append([situation, scene, _in_short(best), _in_short(cheapest)])
+        if own:
+            best = min(own, key=lambda cell: (round(_failed(cell), 2), cell["rmse_px"]["median"]))
+            most, worst = _failed(best) + FEW_FAILURES, 1.1 * best["rmse_px"]["median"]
+            enough = [cell for cell in own if _failed(cell) <= most and cell["rmse_px"]["median"] <= worst]
+            cheapest = min(enough, key=lambda cell: cell["ms_per_scan"])
+            rows.append([situation, scene, _in_short(best), _in_short(cheapest)])
     header = ["situation", "scene", "best", "cheapest within 10 % and 1 % more failures"]
     table = report.table(header, rows, numbers=False)
     return f"{table}\n\nmedian RMSE; share of runs with a swap or a loss; ms of a scan."
-
-
-def _badness(cell: Row) -> tuple[float, float]:
-    return round(_failed(cell), 2), cell["rmse_px"]["median"]
 
 
 def _failed(cell: Row) -> float:
@@ -180,9 +155,8 @@ def _paper(rows: Sequence[Row]) -> str:
     conditions = [name for name in CONDITIONS if any(row["scene"] == name for row in rows)]
     lines = [[tracker, *(_rmse(cells.get((name, tracker))) for name in conditions)] for tracker in trackers]
     for tracker, figures in PUBLISHED_RMSE_PX.items():
-        lines.append(
-            [f"paper: {tracker}", *(f"{figures[name]:g}" if name in figures else "" for name in conditions)]
-        )
+        published = (f"{figures[name]:g}" if name in figures else "" for name in conditions)
+        lines.append([f"paper: {tracker}", *published])
     for peer, values in STONE_SOUP_RMSE_PX.items():
         if peer not in trackers:
             at = dict(zip(CONDITIONS, values, strict=True))

@@ -11,50 +11,42 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
+from stonesoup.dataassociator.neighbour import GNNWith2DAssignment
+from stonesoup.dataassociator.probability import JPDA
+from stonesoup.functions import gm_reduce_single
+from stonesoup.hypothesiser.distance import DistanceHypothesiser
+from stonesoup.hypothesiser.gaussianmixture import GaussianMixtureHypothesiser
+from stonesoup.hypothesiser.probability import PDAHypothesiser
+from stonesoup.measures import Mahalanobis
+from stonesoup.mixturereducer.gaussianmixture import GaussianMixtureReducer
+from stonesoup.models.measurement.linear import LinearGaussian
+from stonesoup.models.transition.linear import CombinedLinearGaussianTransitionModel, ConstantVelocity
+from stonesoup.predictor.kalman import KalmanPredictor
+from stonesoup.types.array import StateVectors
+from stonesoup.types.detection import Detection
+from stonesoup.types.state import GaussianState, TaggedWeightedGaussianState
+from stonesoup.types.track import Track as StoneTrack
+from stonesoup.updater.kalman import KalmanUpdater
+from stonesoup.updater.pointprocess import PHDUpdater
 
-from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks.trackers.play import MakePlayer
 from swarmtrack.benchmarks.trackers.scenes import Scene
 from swarmtrack.messages import Array, Scan, Track, TrackStatus
 
-PREFIX = "ss_"
 EPOCH = datetime(2000, 1, 1)  # Stone Soup counts in calendar time
 GATE_SIGMAS = 3.717  # √χ²(0.999) with two degrees of freedom
 PHD_MERGE, PHD_PRUNE = 4.0, 1e-5
 UNKNOWN_SIZE = np.full(2, np.nan)
-
-
-def load() -> Mapping[str, MakePlayer]:
-    """By name; raises MissingExtraError where Stone Soup is not installed."""
-    require_extra("peers", "stonesoup", of="--peers")
-    return {"ss_gnn": GlobalNearest, _jpda_name(): JointProbabilistic, "ss_gmphd": HypothesisDensity}
-
-
-def _ehm() -> Any:
-    """pyehm's plug-in, or None."""
-    try:
-        from pyehm.plugins import stonesoup as plugin  # noqa: PLC0415
-    except ImportError:
-        return None
-    return plugin
-
-
-def _jpda_name() -> str:
-    return "ss_jpda" if _ehm() is None else "ss_jpda_ehm2"
+try:
+    from pyehm.plugins.stonesoup import JPDAWithEHM2
+except ImportError:
+    JPDAWithEHM2 = None
 
 
 class _Peer:
     """What the three share: models, time, and how their states become tracks."""
 
     def __init__(self, scene: Scene, parameters: Mapping[str, Any]) -> None:
-        from stonesoup.models.measurement.linear import LinearGaussian  # noqa: PLC0415
-        from stonesoup.models.transition.linear import (  # noqa: PLC0415
-            CombinedLinearGaussianTransitionModel,
-            ConstantVelocity,
-        )
-        from stonesoup.predictor.kalman import KalmanPredictor  # noqa: PLC0415
-        from stonesoup.updater.kalman import KalmanUpdater  # noqa: PLC0415
-
         told = scene.parameters() | dict(parameters)
         self._told = told
         self._R = told["measurement_sigma"] ** 2 * np.eye(2)
@@ -69,8 +61,6 @@ class _Peer:
         """They predict with the scan, for an observer at rest."""
 
     def _detections(self, scan: Scan) -> set[Any]:
-        from stonesoup.types.detection import Detection  # noqa: PLC0415
-
         now = _instant(scan.t)
         return {Detection(z[:, None], timestamp=now, measurement_model=self._measurement) for z in scan.z}
 
@@ -93,9 +83,6 @@ class _Associating(_Peer):
     _associator: Any
 
     def initiate(self, t: float, points: Array) -> list[int]:
-        from stonesoup.types.state import GaussianState  # noqa: PLC0415
-        from stonesoup.types.track import Track as StoneTrack  # noqa: PLC0415
-
         self._t = t
         self._tracks = [
             StoneTrack([GaussianState(*self._start(point), timestamp=_instant(t))]) for point in points
@@ -121,10 +108,6 @@ class _Associating(_Peer):
 
 class GlobalNearest(_Associating):
     def __init__(self, scene: Scene, parameters: Mapping[str, Any]) -> None:
-        from stonesoup.dataassociator.neighbour import GNNWith2DAssignment  # noqa: PLC0415
-        from stonesoup.hypothesiser.distance import DistanceHypothesiser  # noqa: PLC0415
-        from stonesoup.measures import Mahalanobis  # noqa: PLC0415
-
         super().__init__(scene, parameters)
         self._associator = GNNWith2DAssignment(
             DistanceHypothesiser(self._predictor, self._updater, Mahalanobis(), missed_distance=GATE_SIGMAS)
@@ -136,12 +119,8 @@ class GlobalNearest(_Associating):
 
 class JointProbabilistic(_Associating):
     def __init__(self, scene: Scene, parameters: Mapping[str, Any]) -> None:
-        from stonesoup.dataassociator.probability import JPDA  # noqa: PLC0415
-        from stonesoup.hypothesiser.probability import PDAHypothesiser  # noqa: PLC0415
-
         super().__init__(scene, parameters)
-        ehm = _ehm()
-        self._associator = (JPDA if ehm is None else ehm.JPDAWithEHM2)(
+        self._associator = (JPDAWithEHM2 or JPDA)(
             PDAHypothesiser(
                 self._predictor,
                 self._updater,
@@ -153,9 +132,6 @@ class JointProbabilistic(_Associating):
 
     def _posterior(self, hypothesis: Any) -> Any:
         """The moments of the mixture over its single hypotheses."""
-        from stonesoup.functions import gm_reduce_single  # noqa: PLC0415
-        from stonesoup.types.array import StateVectors  # noqa: PLC0415
-        from stonesoup.types.state import GaussianState  # noqa: PLC0415
 
         states = [self._updater.update(single) if single else single.prediction for single in hypothesis]
         weights = np.array([float(single.probability) for single in hypothesis])
@@ -175,12 +151,6 @@ class HypothesisDensity(_Peer):
     """
 
     def __init__(self, scene: Scene, parameters: Mapping[str, Any]) -> None:
-        from stonesoup.hypothesiser.distance import DistanceHypothesiser  # noqa: PLC0415
-        from stonesoup.hypothesiser.gaussianmixture import GaussianMixtureHypothesiser  # noqa: PLC0415
-        from stonesoup.measures import Mahalanobis  # noqa: PLC0415
-        from stonesoup.mixturereducer.gaussianmixture import GaussianMixtureReducer  # noqa: PLC0415
-        from stonesoup.updater.pointprocess import PHDUpdater  # noqa: PLC0415
-
         super().__init__(scene, parameters)
         single = DistanceHypothesiser(
             self._predictor, self._updater, Mahalanobis(), missed_distance=GATE_SIGMAS
@@ -199,8 +169,6 @@ class HypothesisDensity(_Peer):
         self._target_of: dict[str, int] = {}
 
     def initiate(self, t: float, points: Array) -> list[int]:
-        from stonesoup.types.state import TaggedWeightedGaussianState  # noqa: PLC0415
-
         self._t = t
         self._components = [
             TaggedWeightedGaussianState(
@@ -242,3 +210,10 @@ def _nearest(component: Any, before: list[tuple[Array, int]]) -> int:
 
 def _instant(t: float) -> datetime:
     return EPOCH + timedelta(seconds=t)
+
+
+PEERS: Mapping[str, MakePlayer] = {
+    "ss_gnn": GlobalNearest,
+    "ss_jpda" if JPDAWithEHM2 is None else "ss_jpda_ehm2": JointProbabilistic,
+    "ss_gmphd": HypothesisDensity,
+}

@@ -10,8 +10,7 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.trackers.play import SMOOTHER, record
-from swarmtrack.benchmarks.trackers.programme import Result
-from swarmtrack.benchmarks.trackers.results import by_cell
+from swarmtrack.benchmarks.trackers.results import Result, by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
 from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 from swarmtrack.tracking import DEFAULT_TRACKER
@@ -35,27 +34,31 @@ DPI = 140
 def draw(out: Path, result: Result) -> list[tuple[str, str]]:
     """Draws what the run has figures for; (file name, caption) of each."""
     drawn = []
-    for name, caption, plot in (
+    for name, plot, caption in (
         (
             "conditions",
-            "Error against clutter, noise and missed detections; crosses: the paper's figures",
             _conditions,
+            "Error against clutter, noise and missed detections; crosses: the paper's figures",
         ),
-        ("trajectories", "One run of slow_merged: what two trackers make of the same scans", _trajectories),
-        ("latency", "Error of `at(now)` against how late detections arrive", _latency),
-        ("cost", "Processor time of a scan against the number of targets", _cost),
+        ("trajectories", _trajectories, "One run of slow_merged: what two trackers make of the same scans"),
+        ("latency", _latency, "Error of `at(now)` against how late detections arrive"),
+        ("cost", _cost, "Processor time of a scan against the number of targets"),
     ):
-        figure = plot(result)
-        if figure is not None:
-            file = f"trackers_{name}.png"
-            report.save(figure, out / file, DPI)
-            drawn.append((file, caption))
+        if (figure := plot(result)) is not None:
+            report.save(figure, out / f"trackers_{name}.png", DPI)
+            drawn.append((f"trackers_{name}.png", caption))
     return drawn
+
+
+def _panels(n: int, width: float, height: float, **more: Any) -> tuple[Any, Any]:
+    size = (width, height)
+    figure, axes = report.pyplot().subplots(1, n, figsize=size, squeeze=False, layout="constrained", **more)
+    return figure, axes[0]
 
 
 def _style(tracker: str) -> dict[str, Any]:
     style = {"color": COLOURS.get(tracker), "linestyle": STYLES.get(tracker, "-"), "label": tracker}
-    return {**style, "linewidth": WIDTHS.get(tracker, 1.1)}
+    return {**style, "linewidth": WIDTHS.get(tracker, 1.1), "marker": MARKERS.get(tracker), "markersize": 4}
 
 
 def _conditions(result: Result) -> Any:
@@ -67,21 +70,16 @@ def _conditions(result: Result) -> Any:
     if not all(_has(result, name) for name in CONDITIONS):
         return None
     cells = by_cell(result.rows)
-    figure, axes = report.pyplot().subplots(1, 3, figsize=(11.0, 4.0), sharey=True, layout="constrained")
+    figure, axes = _panels(3, 11.0, 4.0, sharey=True)
     for panel, (label, sweep) in zip(axes, sweeps, strict=True):
         x = list(sweep.values())
         for tracker in _trackers(result, "control"):
             y = [cells[name, tracker]["rmse_px"]["mean"] for name in sweep]
-            panel.plot(x, y, marker=MARKERS.get(tracker), markersize=4, **_style(tracker))
+            panel.plot(x, y, **_style(tracker))
         for tracker, figures in PUBLISHED_RMSE_PX.items():
             places = [(value, figures[name]) for name, value in sweep.items() if name in figures]
-            panel.plot(
-                *np.array(places).reshape(-1, 2).T,
-                "x",
-                color=COLOURS[tracker],
-                markersize=7,
-                label=f"{tracker}, paper",
-            )
+            style = {"color": COLOURS[tracker], "markersize": 7, "label": f"{tracker}, paper"}
+            panel.plot(*np.array(places).reshape(-1, 2).T, "x", **style)
         panel.set(xlabel=label, yscale="log")
         panel.set_xticks(x, [f"{value:g}" for value in x], fontsize="small")
         panel.grid(alpha=0.25)
@@ -102,7 +100,7 @@ def _trajectories(result: Result) -> Any:
     run = (swapped or kept or [0])[0]
     take = film(SCENES[scene], run)
     z = np.concatenate([observation.scan.z for observation in take.observations])
-    figure, axes = report.pyplot().subplots(1, 2, figsize=(11.0, 5.4), sharey=True, layout="constrained")
+    figure, axes = _panels(2, 11.0, 5.4, sharey=True)
     for panel, tracker in zip(axes, (good, other), strict=True):
         named = record(SCENES[scene], take, tracker).named
         assert named is not None
@@ -133,28 +131,17 @@ def _latency(result: Result) -> Any:
     shown = [name for name in SCENES if SCENES[name].family == "latency" and _has(result, name)]
     if not shown:
         return None
-    figure, axes = report.pyplot().subplots(
-        1, len(shown), figsize=(3.9 * len(shown), 3.9), squeeze=False, layout="constrained"
-    )
-    for name, panel in zip(shown, axes[0], strict=True):
+    figure, axes = _panels(len(shown), 3.9 * len(shown), 3.9)
+    for name, panel in zip(shown, axes, strict=True):
         for tracker in _trackers(result, name):
             at = cells[name, tracker].get("at_rmse_px", {})
             if len(at) > 1:
-                milliseconds = [float(key) for key in at]
-                panel.plot(
-                    milliseconds,
-                    list(at.values()),
-                    marker=MARKERS.get(tracker),
-                    markersize=4,
-                    **_style(tracker),
-                )
+                panel.plot([float(ms) for ms in at], list(at.values()), **_style(tracker))
         panel.set(xlabel="latency, ms", title=name)
         panel.set_ylim(bottom=0.0)
         panel.grid(alpha=0.25)
-    axes[0, 0].set_ylabel("error of at(now), px RMSE")
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize="small"
-    )
+    axes[0].set_ylabel("error of at(now), px RMSE")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, fontsize="small")
     return figure
 
 
@@ -162,7 +149,7 @@ def _cost(result: Result) -> Any:
     layouts = {"crowded": "all in one gate", "spread": "each alone, 100 px apart"}
     if not any(cost.layout in layouts for cost in result.costs):
         return None
-    figure, axes = report.pyplot().subplots(1, 2, figsize=(10.0, 4.4), sharey=True, layout="constrained")
+    figure, axes = _panels(2, 10.0, 4.4, sharey=True)
     names = list(dict.fromkeys(cost.tracker for cost in result.costs))
     peers = [name for name in names if name not in COLOURS]
     for panel, (layout, label) in zip(axes, layouts.items(), strict=True):
@@ -171,13 +158,8 @@ def _cost(result: Result) -> Any:
             style = _style(name)
             if name in peers:
                 style |= {"color": f"C{3 + 2 * peers.index(name)}", "linestyle": "--"}
-            panel.plot(
-                [cost.targets for cost in own],
-                [cost.ms for cost in own],
-                marker=MARKERS.get(name, "."),
-                markersize=4,
-                **style,
-            )
+            style["marker"] = MARKERS.get(name, ".")
+            panel.plot([cost.targets for cost in own], [cost.ms for cost in own], **style)
         panel.set(xscale="log", yscale="log", xlabel="targets N (and detections)", title=label)
         ticks = sorted({cost.targets for cost in result.costs if cost.layout == layout})
         panel.set_xticks(ticks, [str(tick) for tick in ticks])

@@ -1,25 +1,94 @@
-"""From the scores of many runs to the rows of `trackers.json`."""
+"""What `swarmtrack bench trackers` is asked to do, what comes of it, and the rows of `trackers.json`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincinv
 
-from swarmtrack.benchmarks.trackers.play import Score
-from swarmtrack.benchmarks.trackers.scenes import Scene
+from swarmtrack.benchmarks.harness import quantile
+from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, Score
+from swarmtrack.benchmarks.trackers.scenes import SCENES, Scene, find_scene
+from swarmtrack.benchmarks.trackers.timing import Cost, Enumeration
 from swarmtrack.lab.score.intervals import Interval, fraction_interval, mean_interval
 from swarmtrack.messages import Array
+from swarmtrack.tracking import TRACKERS
 
 FOUND_WITHIN_S = 0.5
 DROPPED_WITHIN_S = 1.0
 RESAMPLES = 1000
+QUICK_RUNS = 2
+QUICK_SCENES = (
+    "control", "clutter10", "noise.75", "pd.80", "crossing", "crossing_merged", "slow", "slow_merged", "births",
+    "rotating_still", "rotating", "latency_steady", "latency_manoeuvring", "told_wrong_R_x4_noise.50",
+)  # fmt: skip
 
 Row = dict[str, Any]
 """One scene and tracker, as it stands in the JSON."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Programme:
+    """What to run. runs: in place of each scene's own; jobs: processes."""
+
+    trackers: tuple[str, ...] = ()
+    scenes: tuple[str, ...] = ()
+    runs: int | None = None
+    quick: bool = False
+    peers: bool = False
+    jobs: int = 1
+
+    def __post_init__(self) -> None:
+        for name in self.scenes:
+            find_scene(name)
+        known = [*TRACKERS, *ORACLES, SMOOTHER]
+        for name in self.trackers:
+            if name not in known:
+                raise BenchmarkError(f"--tracker: found {name!r}, expected one of {', '.join(known)}")
+        for name, value in (("runs", self.runs), ("jobs", self.jobs)):
+            if value is not None and value < 1:
+                raise BenchmarkError(f"--{name}: found {value}, expected a number above 0")
+
+    @property
+    def entrants(self) -> tuple[str, ...]:
+        """The trackers asked for, else all; the oracles stand beside them in any case."""
+        chosen = self.trackers or tuple(TRACKERS)
+        limits = [name for name in (*ORACLES, SMOOTHER) if name not in chosen]
+        return (*chosen, *limits)
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        return tuple(name for name in self.entrants if name in TRACKERS)
+
+    def scenes_to_play(self) -> tuple[str, ...]:
+        return self.scenes or (QUICK_SCENES if self.quick else tuple(SCENES))
+
+    def runs_of(self, scene: str) -> int:
+        return self.runs or (QUICK_RUNS if self.quick else SCENES[scene].runs)
+
+
+Played = dict[tuple[str, str], list[Score]]
+"""By scene and label, in the order of the runs."""
+
+
+class Result(NamedTuple):
+    """Everything that the page is made of."""
+
+    programme: Programme
+    rows: list[Row]
+    played: Played
+    ablation: list[Row]
+    costs: list[Cost]
+    enumeration: Enumeration | None
+    reference_ms: float
+    late_difference: dict[str, float]
+    """By tracker: how much reading `at(now)` between scans changes the state at the scans."""
+    wall_s: float
 
 
 def row(scene: Scene, tracker: str, scores: Sequence[Score]) -> Row:
@@ -61,18 +130,13 @@ def _unannounced(scene: Scene, scores: Sequence[Score]) -> Row:
     drop = np.array([seconds for one in found for seconds in one.drop_s])
     minutes = len(found) * scene.scans / scene.rate_hz / 60.0
     false = sum(one.false_tracks for one in found)
-    low, high = (
-        gammaincinv(max(false, 1e-9), 0.025),
-        gammaincinv(false + 1, 0.975),
-    )  # of a Poisson count, exact
+    # Of a Poisson count, exact.
+    ends = gammaincinv(max(false, 1e-9), 0.025), gammaincinv(false + 1, 0.975)
     in_time = DROPPED_WITHIN_S + 1.0 / scene.rate_hz + 1e-6
     return {
         "tracked_fraction": float(np.mean([one.tracked for one in found])),
         "switches_per_run": float(np.mean([one.switches for one in found])),
-        "false_tracks_per_min": {
-            "mean": false / minutes,
-            "ci95": [float(low) / minutes, float(high) / minutes],
-        },
+        "false_tracks_per_min": {"mean": false / minutes, "ci95": [float(end) / minutes for end in ends]},
         "targets": len(find),
         "found_in_half_a_second_fraction": float(np.mean(find <= FOUND_WITHIN_S + 1e-9)),
         "find_s": _quantiles(find),
@@ -83,11 +147,7 @@ def _unannounced(scene: Scene, scores: Sequence[Score]) -> Row:
 
 def _quantiles(seconds: Array) -> dict[str, float]:
     """Infinite values are those that never came."""
-    if not len(seconds):
-        return {"median": math.nan, "p95": math.nan, "max": math.nan}
-    ordered = np.sort(seconds)
-    at = {"median": 0.5, "p95": 0.95, "max": 1.0}
-    return {name: float(ordered[math.ceil(q * len(ordered)) - 1]) for name, q in at.items()}
+    return {name: quantile(seconds, of) for name, of in (("median", 0.5), ("p95", 0.95), ("max", 1.0))}
 
 
 def paired_ratio(above: Sequence[Score], below: Sequence[Score], *, median: bool = False) -> Interval:

@@ -6,14 +6,12 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from swarmtrack.benchmarks.trackers.play import Score
-from swarmtrack.benchmarks.trackers.results import Row, by_cell, paired_ratio
+from swarmtrack.benchmarks.trackers.results import Played, Result, Row, by_cell, paired_ratio
 from swarmtrack.benchmarks.trackers.scenes import SCENES
 from swarmtrack.benchmarks.trackers.timing import AT_BUDGET_MS, BUDGET_MS, Cost, Enumeration
 from swarmtrack.lab.score.intervals import Interval
 from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 
-Played = Mapping[tuple[str, str], list[Score]]
 Cells = Mapping[tuple[str, str], Row]
 
 CLOSE_PX = 0.3  # an error below this is as good as any: without noise it only tells which σ was assumed
@@ -47,26 +45,18 @@ Said = Iterator[tuple[int, str, str, bool]]
 """As a `Verdict`, of one tracker."""
 
 
-def verdicts(
-    rows: Sequence[Row],
-    *,
-    played: Played,
-    costs: Sequence[Cost],
-    enumeration: Enumeration | None,
-    late_difference: Mapping[str, float],
-    trackers: Sequence[str],
-) -> list[Verdict]:
-    cells = by_cell(rows)
+def verdicts(result: Result) -> list[Verdict]:
+    cells, played = by_cell(result.rows), result.played
     found = [
         Verdict(number, claim, tracker, text, holds)
-        for tracker in trackers
+        for tracker in result.programme.own
         for said in (
             _paper(tracker, cells, played),
             _crossings(tracker, cells, played),
             _births(tracker, cells),
-            _motion(tracker, cells, played, late_difference),
+            _motion(tracker, cells, played, result.late_difference),
             _told_wrong(tracker, cells, played),
-            _speed(tracker, costs, enumeration),
+            _speed(tracker, result.costs, result.enumeration),
         )
         for number, claim, text, holds in said
     ]

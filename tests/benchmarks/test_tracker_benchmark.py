@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from swarmtrack.agents import main as swarmtrack
-from swarmtrack.benchmarks.trackers import peers as tracker_peers
 from swarmtrack.benchmarks.trackers import play as play_module
 from swarmtrack.benchmarks.trackers import timing
-from swarmtrack.benchmarks.trackers.benchmark import Block, Entrant, play_all
+from swarmtrack.benchmarks.trackers.benchmark import Block, Entrant, load_peers, play_all
 from swarmtrack.benchmarks.trackers.play import ORACLES, SMOOTHER, make_tracker, play
 from swarmtrack.benchmarks.trackers.results import paired_ratio
 from swarmtrack.benchmarks.trackers.scenes import MOST_P_DETECTION, SCENES, film
@@ -370,4 +369,4 @@ def test_what_cannot_be_run_is_refused_in_one_line(tmp_path, capsys, arguments, 
 def test_missing_peers_are_said_with_their_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "stonesoup", None)
     with pytest.raises(MissingExtraError, match=r"swarmtrack\[peers\]"):
-        tracker_peers.load()
+        load_peers()
