@@ -2,7 +2,8 @@
 
 Cells of a table are templates of what stands in its row, a dictionary or an object, as `str.format` has them:
 "{runs}", "{rmse_px[p50]:.2f}". A number that is none is "–". `.1p` is percent, and `.1p%` with the sign; `.1m` is
-thousandths; of an interval, with value, low and high, both ends follow in brackets.
+thousandths; of an interval, with value, low and high, both ends follow in brackets. `?p` is percent with one decimal,
+near none and near all with two.
 """
 
 from __future__ import annotations
@@ -98,6 +99,10 @@ class _Filler(string.Formatter):
     def format_field(self, value: Any, spec: str) -> str:
         sign = " %" if spec.endswith("p%") else ""
         spec = spec.removesuffix("%") if sign else spec
+        if isinstance(value, Mapping) and spec == "?p":
+            if math.isnan(value["value"]):
+                return "–"
+            spec = ".2p" if value["high"] < 0.1 or value["low"] > 0.9 else ".1p"
         if isinstance(value, Mapping) and spec:
             middle, low, high = (self.format_field(value[name], spec) for name in ("value", "low", "high"))
             return f"{middle}{sign} ({low} … {high})"

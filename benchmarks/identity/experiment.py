@@ -30,13 +30,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from swarmtrack.benchmarks.identity.one_look import PRIOR, Prior, log_ratios
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.identity.paper import nearest
 from swarmtrack.lab.score.intervals import Interval, fraction_interval
 from swarmtrack.lab.score.reliability import Reliability, Stated
 from swarmtrack.messages import Array
 from swarmtrack.tracking import marginals
+from swarmtrack.tracking.association import gate_threshold
+from swarmtrack.tracking.gaussian import LOG_TWO_PI
 from swarmtrack.tracking.marginals import matching_marginals, sweep_width
 from swarmtrack.tracking.priors import MARGINALS_MOST_OPEN_ROWS
 
@@ -47,8 +48,28 @@ PROBABILITY = 0.95  # above which an ID is given
 PAIRED = 2.0  # least design effect of wrong IDs: they come by twos, as swaps
 NOBODY = -1
 COMPARED_WIDTH = 17
+# Prior: that a drone which may be anywhere is in front of this camera.
+IN_VIEW = 0.2
+GATE_PROBABILITY = 0.9999
 
 Columns = NDArray[np.int64]
+
+
+class Prior(NamedTuple):
+    """What to expect of an image. p_seen: that a drone which should be in view has a confirmed track; strangers:
+    how many confirmed tracks are none of the announced drones. Neither is ever certain: p_seen < 1, strangers > 0."""
+
+    p_seen: float = 0.9
+    strangers: float = 1.0
+
+    @property
+    def log_ratio(self) -> float:
+        """Of "this track is that drone" and "a stranger, and the drone is not seen", before looking where they
+        are."""
+        return math.log(self.p_seen / (1.0 - self.p_seen) / self.strangers)
+
+
+PRIOR = Prior()
 
 
 class Sky(NamedTuple):
@@ -129,7 +150,10 @@ def by_argmin(layout: Layout) -> Columns:
 def by_distance(layout: Layout) -> Columns:
     """The one-to-one matching with the least sum of distances."""
     distance = np.linalg.norm(layout.tracks[:, None] - layout.projected, axis=2)
-    return _as_columns(len(distance), *linear_sum_assignment(distance))
+    given = np.full(len(distance), NOBODY)
+    rows, columns = linear_sum_assignment(distance)
+    given[rows] = columns
+    return given
 
 
 def by_margin(log_ratio: Array) -> Columns:
@@ -152,14 +176,18 @@ def by_probability(probability: Array) -> Columns:
     return np.where(probability.max(axis=1) >= PROBABILITY, probability.argmax(axis=1), NOBODY)
 
 
-def _as_columns(n: int, rows: Columns, columns: Columns) -> Columns:
-    given = np.full(n, NOBODY)
-    given[rows] = columns
-    return given
-
-
 def log_ratios_of(layout: Layout, prior: Prior) -> Array:
-    return log_ratios(layout.tracks, layout.projected, layout.variance, CAMERA, prior)
+    """log (n, k) of how much more likely "track i is drone j" is than "i is a stranger, and j is not seen"; −inf
+    outside the gate.
+
+    Strangers are a Poisson process, uniform over the image. Nobody's density is thinner than that of a drone which is
+    in view with probability `IN_VIEW`, and anywhere in it.
+    """
+    log_area = math.log(CAMERA.width * CAMERA.height)
+    distance = ((layout.tracks[:, None] - layout.projected) ** 2).sum(axis=2) / layout.variance
+    log_extent = min(LOG_TWO_PI + math.log(layout.variance), log_area - math.log(IN_VIEW))
+    log_density = np.where(distance > gate_threshold(GATE_PROBABILITY), -np.inf, -0.5 * distance - log_extent)
+    return np.asarray(log_density + log_area + prior.log_ratio)
 
 
 def priors_of(sky: Sky) -> dict[str, Prior]:
@@ -186,10 +214,8 @@ def play(cell: Cell, first: int, last: int) -> Chunk:
             stated.setdefault(name, []).append(_stated(probability, layout.truth, k))
         for name, columns in given.items():
             judged.setdefault(name, []).append(_judged(columns, layout.truth))
-        wide = (
-            min(ratios["posterior"].shape) > MARGINALS_MOST_OPEN_ROWS
-            and sweep_width(ratios["posterior"]) > MARGINALS_MOST_OPEN_ROWS
-        )
+        ours, most = ratios["posterior"], MARGINALS_MOST_OPEN_ROWS
+        wide = min(ours.shape) > most and sweep_width(ours) > most
         sizes.append((len(layout.truth), int((layout.truth != NOBODY).sum()), wide))
     tracks, team, left_out = np.array(sizes, float).T
     return Chunk(

@@ -11,6 +11,7 @@ from swarmtrack.benchmarks.identity.experiment import (
     COMPLETE,
     CROWDED,
     NOBODY,
+    PRIOR,
     Cell,
     by_argmin,
     by_distance,
@@ -21,7 +22,6 @@ from swarmtrack.benchmarks.identity.experiment import (
     play,
     scores,
 )
-from swarmtrack.benchmarks.identity.one_look import PRIOR
 from swarmtrack.lab.score.intervals import fraction_interval
 from swarmtrack.lab.score.reliability import Stated, reliability_of
 from swarmtrack.tracking.marginals import matching_marginals
