@@ -27,11 +27,11 @@ from typing import Any, Final
 import numpy as np
 import zenoh
 from cryptography.exceptions import InvalidSignature
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import Benchmark
-from swarmtrack.benchmarks.processes import module_process, rss_mb
+from swarmtrack.benchmarks.processes import module_process, rss_mb, said
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement, PeerArrived, Sighting, SightingReport
 from swarmtrack.transport import keys
@@ -106,23 +106,22 @@ async def measure(sort: Sort, seconds: float) -> Outcome:
             await transport.announce(announcement(MEASURED, boot, 1, clock.now()))
             await asyncio.wait_for(heard.both.wait(), PATIENCE_S)
             assert flooder.stdin is not None
-            assert flooder.stdout is not None
             flooder.stdin.write(b"start\n")
-            await asyncio.wait_for(flooder.stdout.readline(), PATIENCE_S)  # it floods
-            before = heard.count()
+            await said(flooder, PATIENCE_S)  # it floods
+            events, before = heard.events, len(heard.friend_delays)
             rss, cpu, began = rss_mb(), time.process_time(), time.perf_counter()
             lags = await lags_of_the_loop(seconds)
             took = time.perf_counter() - began
-            cpu, after = time.process_time() - cpu, heard.count()
+            cpu, events, after = time.process_time() - cpu, heard.events - events, len(heard.friend_delays)
             flooder.stdin.write(b"stop\n")
-            sent_hz = float(await asyncio.wait_for(flooder.stdout.readline(), PATIENCE_S))
+            sent_hz = float(await said(flooder, PATIENCE_S))
             rss_after = rss_mb()
     finally:
         counters = dict(transport.status().counters)
         await transport.close()
         await listening
     p50, p95, p99 = np.percentile(lags, [50, 95, 99])
-    delays = heard.friend_delays[before.friend : after.friend]
+    delays = heard.friend_delays[before:after]
     return Outcome(
         flood=str(sort),
         sent_hz=0.0 if sort == Sort.NOTHING else sent_hz,
@@ -134,19 +133,11 @@ async def measure(sort: Sort, seconds: float) -> Outcome:
         rss_after_mb=rss_after,
         cpu_percent=100.0 * cpu / took,
         friend_announced=round(took / FRIEND_S),
-        friend_heard=after.friend - before.friend,
+        friend_heard=after - before,
         friend_delay_p95_ms=1e3 * float(np.percentile(delays, 95)) if delays else float("nan"),
         superseded=int(counters["samples_superseded"]),
-        events_hz=(after.events - before.events) / took,
+        events_hz=events / took,
     )
-
-
-@dataclass(frozen=True, slots=True)
-class Count:
-    """How many events, and how many announcements of the friend among them."""
-
-    events: int
-    friend: int
 
 
 class Heard:
@@ -155,12 +146,12 @@ class Heard:
     def __init__(self) -> None:
         self.both = asyncio.Event()
         self.friend_delays: list[float] = []
-        self._events = 0
+        self.events = 0
         self._announced: set[int] = set()
 
     async def listen(self, transport: ZenohTransport, clock: SystemClock) -> None:
         async for event in transport.events():
-            self._events += 1
+            self.events += 1
             if not isinstance(event, Announcement):
                 continue
             self._announced.add(event.drone_id)
@@ -168,9 +159,6 @@ class Heard:
                 self.friend_delays.append(clock.now() - event.t)
             if self._announced >= {FRIEND, FLOODER}:
                 self.both.set()
-
-    def count(self) -> Count:
-        return Count(self._events, len(self.friend_delays))
 
 
 async def lags_of_the_loop(seconds: float) -> list[float]:
@@ -243,9 +231,8 @@ def sender(sort: Sort, session: zenoh.Session, team: str, boot: str) -> Callable
             return lambda: None
         case Sort.ANNOUNCEMENTS | Sort.FORGERIES:
             sign = signing_key(FLOODER).sign if sort == Sort.ANNOUNCEMENTS else _no_signature
-            data = numbered(
-                codec.encode(announcement_message(announcement(FLOODER, boot, _FIRST, 0.0), 1.7e9, 0.0))
-            )
+            first = announcement_message(announcement(FLOODER, boot, _FIRST, 0.0), 1.7e9, 0.0)
+            data = numbered(codec.encode(first))
             return lambda: session.put(pose, sign_announcement(next(data), pose, sign))
         case Sort.SIGHTINGS:
             data = numbered(codec.encode(sightings_message(sightings(boot, _FIRST), 1.7e9, 0.0)))
@@ -289,12 +276,8 @@ def announcement(drone_id: int, boot: str, sequence: int, t: float) -> Announcem
 
 def sightings(boot: str, sequence: int) -> SightingReport:
     """Of a team of thirty that all see all."""
-    others = tuple(
-        Sighting(drone_id, 0.99, np.array([0.6, 0.0, 0.8]), 0.01)
-        for drone_id in range(1, 31)
-        if drone_id != FLOODER
-    )
-    known = tuple(sighting.drone_id for sighting in others)
+    known = tuple(drone_id for drone_id in range(1, 31) if drone_id != FLOODER)
+    others = tuple(Sighting(drone_id, 0.99, np.array([0.6, 0.0, 0.8]), 0.01) for drone_id in known)
     return SightingReport(FLOODER, boot, sequence, 0.0, 0.01, np.zeros(3), 0.1, known, others)
 
 
@@ -312,14 +295,9 @@ def signing_key(drone_id: int) -> Ed25519PrivateKey:
     return Ed25519PrivateKey.from_private_bytes(drone_id.to_bytes(32))
 
 
-@cache
-def verification_key(drone_id: int) -> Ed25519PublicKey:
-    return signing_key(drone_id).public_key()
-
-
 def verify(drone_id: int, signed: bytes, signature: bytes) -> bool:
     try:
-        verification_key(drone_id).verify(signature, signed)
+        signing_key(drone_id).public_key().verify(signature, signed)
     except InvalidSignature:
         return False
     return True
@@ -347,7 +325,7 @@ COLUMNS: report.Columns = (
     ("sent /s", "{sent_hz:.0f}"),
     (
         "lag p50 / p95 / p99 / max ms",
-        "{lag_p50_ms:.1f} / {lag_p95_ms:.1f} / {lag_p99_ms:.1f} / {lag_max_ms:.1f}",
+        " / ".join(f"{{lag_{of}_ms:.1f}}" for of in ("p50", "p95", "p99", "max")),
     ),
     ("RSS before → after MB", "{rss_before_mb:.0f} → {rss_after_mb:.0f}"),
     ("CPU %", "{cpu_percent:.0f}"),

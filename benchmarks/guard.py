@@ -28,8 +28,7 @@ from swarmtrack.autopilot.links import Wire
 from swarmtrack.autopilot.mavlink_autopilot import WayToAutopilot
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import Benchmark, amount, some_of
-from swarmtrack.benchmarks.lone_agent import free_udp_port
-from swarmtrack.benchmarks.processes import cpu_seconds, module_process, rss_mb
+from swarmtrack.benchmarks.processes import cpu_seconds, descendants, free_port, module_process, rss_mb
 from swarmtrack.formation.parameters import FlightLimits
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.guard import GUARD_SLACK, Decision, Guard
@@ -168,9 +167,8 @@ class Sky:
 
 def guard_of(agent: int) -> int:
     """The process ID of an agent's guard: its only child."""
-    children = Path(f"/proc/{agent}/task/{agent}/children").read_text(encoding="ascii").split()
-    assert len(children) == 1, f"expected one child of the agent, found {children}"
-    return int(children[0])
+    (guard,) = descendants(agent)
+    return guard
 
 
 async def _freeze(pid: int) -> None:
@@ -235,7 +233,7 @@ async def engage(sky: Sky, speed: float) -> None:
 
 async def fly(case: str, seed: int) -> Flight:
     """One flight: engaged, at speed, and then `case` happens."""
-    sky = Sky(free_udp_port(), seed)
+    sky = Sky(free_port(), seed)
     async with flying_agent(sky, SPEED_M_S) as agent:
         await engage(sky, SPEED_M_S)
         return await _happen(case, sky, agent.pid)

@@ -17,7 +17,7 @@ import struct
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import AbstractAsyncContextManager, AsyncExitStack, suppress
+from contextlib import AbstractAsyncContextManager, AsyncExitStack, ExitStack, suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -26,7 +26,7 @@ import numpy as np
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.harness import Benchmark
-from swarmtrack.benchmarks.processes import module_process, rss_mb
+from swarmtrack.benchmarks.processes import module_process, rss_mb, said
 from swarmtrack.clock import SystemClock
 from swarmtrack.messages import Announcement
 from swarmtrack.transport import keys
@@ -57,47 +57,15 @@ class Team:
 
 TEAMS: Final = (Team(3, Mode.PEER), Team(10, Mode.PEER), Team(30, Mode.PEER), Team(100, Mode.CLIENT))
 QUICK: Final = (Team(3, Mode.PEER), Team(10, Mode.CLIENT))
-
-
-@dataclass(frozen=True, slots=True)
-class Share:
-    """What one process says of its sessions. known_s: when each knew all, after the common start."""
-
-    known_s: list[float]
-    announcement_bytes: int
-    announcements_sent: int
-    rss_before_mb: float
-    rss_after_mb: float
-    bytes_until_known: int
-    idle_bytes_s: float
-    cpu_s: float
-    idle_cpu_percent: float
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """Of a whole team; `per_session` are means. complete: how many sessions knew all others."""
-
-    team: str
-    sessions: int
-    complete: int
-    known_median_s: float
-    known_last_s: float
-    announcement_bytes: float
-    announcements_sent_per_session: float
-    bytes_until_known_per_session: float
-    idle_bytes_s_per_session: float
-    rss_mb_per_session: float
-    cpu_s_total: float
-    idle_cpu_percent_total: float
-    router_rss_mb: list[float]
+PER_SESSION: Final = ("announcements_sent", "bytes_until_known", "idle_bytes_s", "rss_mb")
 
 
 # --- the one that asks ---------------------------------------------------------------------------
 
 
-async def measure(team: Team) -> Outcome:
-    """Start the team, wait until everybody knows everybody, then watch it idle."""
+async def measure(team: Team) -> dict[str, Any]:
+    """Start the team, wait until everybody knows everybody, then watch it idle. complete: how many sessions knew all
+    others; per session: means."""
     name = f"bench-{secrets.token_hex(4)}"
     async with AsyncExitStack() as stack:
         routers = free_ports(ROUTERS) if team.mode == Mode.CLIENT else []
@@ -106,7 +74,7 @@ async def measure(team: Team) -> Outcome:
             for i, port in enumerate(routers)
         ]
         for relay in relays:
-            await said(relay)
+            await said(relay, PATIENCE_S)
         ports = free_ports(team.sessions) if team.mode == Mode.PEER else []
         processes = min(PROCESSES, max(1, team.sessions // 3))
         ids = [list(range(1 + i, team.sessions + 1, processes)) for i in range(processes)]
@@ -116,49 +84,34 @@ async def measure(team: Team) -> Outcome:
             )
             for of_process in ids
         ]
-        for process in shares:
-            await said(process)  # has imported everything
+        await answers(shares)  # everything is imported
         start = time.perf_counter() + 0.2
-        for process in shares:
-            assert process.stdin is not None
-            process.stdin.write(f"{start}\n".encode())
-        for process in shares:
-            await said(process)  # its sessions know everybody
-        for process in shares:
-            assert process.stdin is not None
-            process.stdin.write(b"idle\n")
-        results = [Share(**json.loads(await said(process))) for process in shares]
+        await answers(shares, str(start))  # their sessions know everybody
+        found = [json.loads(line) for line in await answers(shares, "idle")]
         router_rss = [rss_mb(relay.pid) for relay in relays]
-    return outcome(team, results, router_rss)
-
-
-def outcome(team: Team, shares: Sequence[Share], router_rss: list[float]) -> Outcome:
+    known = sorted(known for share in found for known in share.pop("known_s"))
+    total = {name: sum(share[name] for share in found) for name in found[0]}
     n = team.sessions
-    known = sorted(known for share in shares for known in share.known_s)
-    return Outcome(
-        team=team.name,
-        sessions=n,
-        complete=len(known),
-        known_median_s=float(np.median(known)) if known else float("nan"),
-        known_last_s=known[-1] if len(known) == n else float("nan"),
-        announcement_bytes=shares[0].announcement_bytes,
-        announcements_sent_per_session=sum(share.announcements_sent for share in shares) / n,
-        bytes_until_known_per_session=sum(share.bytes_until_known for share in shares) / n,
-        idle_bytes_s_per_session=sum(share.idle_bytes_s for share in shares) / n,
-        rss_mb_per_session=sum(share.rss_after_mb - share.rss_before_mb for share in shares) / n,
-        cpu_s_total=sum(share.cpu_s for share in shares),
-        idle_cpu_percent_total=sum(share.idle_cpu_percent for share in shares),
-        router_rss_mb=router_rss,
-    )
+    return {
+        "team": team.name,
+        "sessions": n,
+        "complete": len(known),
+        "known_median_s": float(np.median(known)) if known else float("nan"),
+        "known_last_s": known[-1] if len(known) == n else float("nan"),
+        "announcement_bytes": found[0]["announcement_bytes"],
+        **{f"{name}_per_session": total[name] / n for name in PER_SESSION},
+        "cpu_s_total": total["cpu_s"],
+        "idle_cpu_percent_total": total["idle_cpu_percent"],
+        "router_rss_mb": router_rss,
+    }
 
 
-async def said(process: asyncio.subprocess.Process) -> str:
-    """The next line of a process."""
-    assert process.stdout is not None
-    line = await asyncio.wait_for(process.stdout.readline(), 2 * PATIENCE_S)
-    if not line:
-        raise report.BenchmarkError(f"clients: a process ended with {await process.wait()}")
-    return line.decode()
+async def answers(processes: Sequence[asyncio.subprocess.Process], asked: str = "") -> list[str]:
+    """The next line of each, once all are asked."""
+    for process in processes if asked else ():
+        assert process.stdin is not None
+        process.stdin.write(f"{asked}\n".encode())
+    return [await said(process, 2.0 * PATIENCE_S) for process in processes]
 
 
 def program(task: Task) -> AbstractAsyncContextManager[asyncio.subprocess.Process]:
@@ -168,13 +121,9 @@ def program(task: Task) -> AbstractAsyncContextManager[asyncio.subprocess.Proces
 
 def free_ports(n: int) -> list[int]:
     """n ports, free a moment ago."""
-    probes = [socket.socket() for _ in range(n)]
-    for probe in probes:
-        probe.bind(("127.0.0.1", 0))
-    ports = [probe.getsockname()[1] for probe in probes]
-    for probe in probes:
-        probe.close()
-    return ports
+    with ExitStack() as stack:
+        probes = [stack.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in range(n)]
+        return [probe.getsockname()[1] for probe in probes]
 
 
 # --- the others ----------------------------------------------------------------------------------
@@ -259,18 +208,17 @@ async def be_sessions(task: Task) -> None:
     await asyncio.to_thread(sys.stdin.readline)  # others may still be asking
     cpu, idle_traffic = time.process_time(), tcp_bytes()
     await asyncio.sleep(IDLE_S)
-    share = Share(
-        known_s=[member.known_at - start for member in members if member.known_at is not None],
-        announcement_bytes=members[0].counter("announcement_bytes"),
-        announcements_sent=sum(member.counter("announcements_sent") for member in members),
-        rss_before_mb=rss_before,
-        rss_after_mb=rss_mb(),
-        bytes_until_known=traffic,
-        idle_bytes_s=(tcp_bytes() - idle_traffic) / IDLE_S,
-        cpu_s=cpu_s,
-        idle_cpu_percent=100.0 * (time.process_time() - cpu) / IDLE_S,
-    )
-    print(json.dumps(asdict(share)), flush=True)
+    share = {
+        "known_s": [member.known_at - start for member in members if member.known_at is not None],
+        "announcement_bytes": members[0].counter("announcement_bytes"),
+        "announcements_sent": sum(member.counter("announcements_sent") for member in members),
+        "bytes_until_known": traffic,
+        "idle_bytes_s": (tcp_bytes() - idle_traffic) / IDLE_S,
+        "rss_mb": rss_mb() - rss_before,
+        "cpu_s": cpu_s,
+        "idle_cpu_percent": 100.0 * (time.process_time() - cpu) / IDLE_S,
+    }
+    print(json.dumps(share), flush=True)
     await asyncio.to_thread(sys.stdin.readline)  # the others may still be counting
 
 
@@ -301,7 +249,7 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     with report.progress(NAME, total=len(teams)) as advance:
         for team in teams:
             advance(team.name)
-            outcomes.append(asdict(asyncio.run(measure(team))))
+            outcomes.append(asyncio.run(measure(team)))
     return {"teams": outcomes}
 
 

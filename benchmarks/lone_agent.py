@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import common
 
-from swarmtrack.benchmarks.processes import agent_environment
+from swarmtrack.benchmarks.processes import agent_environment, free_port
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.clock import SystemClock
 from swarmtrack.geometry.camera import PinholeCamera
@@ -49,7 +49,7 @@ async def scripted_agent(
     options: Sequence[str] = (), entries: Mapping[str, Any] | None = None
 ) -> AsyncIterator[LoneAgent]:
     """The scripted agent, once it tracks. options: its own; entries: dotted keys, more of its config."""
-    port, team = free_udp_port(), f"bench-{secrets.token_hex(4)}"
+    port, team = free_port(), f"bench-{secrets.token_hex(4)}"
     config = scripted_entries(port, team) | dict(entries or {})
     with agent_process(["swarmtrack.benchmarks.scripted_agent", *options], config) as process:
         async with listening(team) as heard, autopilot(port):
@@ -195,9 +195,3 @@ def _due_messages(sample: int, rng: np.random.Generator) -> list[Any]:
         kind, maker = common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4
         messages.append(common.MAVLink_heartbeat_message(kind, maker, 0, 0, common.MAV_STATE_ACTIVE, 3))
     return messages
-
-
-def free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
-        udp.bind(("127.0.0.1", 0))
-        return int(udp.getsockname()[1])

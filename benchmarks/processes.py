@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import socket
 import subprocess
 import sys
 from collections.abc import AsyncIterator, Mapping
@@ -11,6 +12,7 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 
 import swarmtrack
+from swarmtrack.benchmarks.report import BenchmarkError
 
 OURS = "swarmtrack.agents.main"
 """The module of all our commands."""
@@ -42,6 +44,31 @@ async def module_process(
         with suppress(ProcessLookupError):
             process.kill()
         await process.wait()
+
+
+async def said(process: asyncio.subprocess.Process, patience_s: float) -> str:
+    """The next line of a process."""
+    assert process.stdout is not None
+    line = await asyncio.wait_for(process.stdout.readline(), patience_s)
+    if not line:
+        raise BenchmarkError(f"a process ended with {await process.wait()}, expected a line of it")
+    return line.decode()
+
+
+def descendants(pid: int | None) -> list[int]:
+    """Children and theirs; empty where the process has ended."""
+    try:
+        children = [int(text) for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    except OSError:
+        return []
+    return [one for child in children for one in (child, *descendants(child))]
+
+
+def free_port(kind: socket.SocketKind = socket.SOCK_DGRAM) -> int:
+    """Of this machine, free a moment ago."""
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 def agent_environment() -> dict[str, str]:

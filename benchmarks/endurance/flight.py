@@ -23,7 +23,7 @@ from typing import Any
 import aiohttp
 
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, AgentWindow, ViewerWindow, Window
-from swarmtrack.benchmarks.processes import OURS, cpu_seconds, module_process, rss_mb
+from swarmtrack.benchmarks.processes import OURS, cpu_seconds, descendants, module_process, rss_mb
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.clock import SystemClock
 from swarmtrack.recording.reader import FLIGHT_PLAN, recordings_below
@@ -125,15 +125,6 @@ async def landed(swarm: Swarm, folder: Path) -> dict[str, Any]:
     said = [line.strip() for line in swarm.said]
     shortfalls = said[said.index("FAILED") + 1 :] if "FAILED" in said else []
     return {**json.loads(file.read_text(encoding="utf-8")), "shortfalls": shortfalls}
-
-
-def descendants(pid: int) -> list[int]:
-    """Children and theirs; empty where the process has ended."""
-    try:
-        children = [int(text) for text in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-    except OSError:
-        return []
-    return [one for child in children for one in (child, *descendants(child))]
 
 
 def command_of(pid: int) -> list[str]:

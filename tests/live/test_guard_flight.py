@@ -9,7 +9,7 @@ import pytest
 
 from support.patience import PATIENCE
 from swarmtrack.benchmarks.guard import CASES, SPEED_M_S, Sky, engage, fly, flying_agent, guard_of
-from swarmtrack.benchmarks.lone_agent import free_udp_port
+from swarmtrack.benchmarks.processes import free_port
 
 # s: what a busy machine adds to the 0.35 and 1.3 s that `bench guard` judges.
 ZERO_WITHIN_S, SILENT_AFTER_S = 1.2, 2.5
@@ -51,7 +51,7 @@ def exists(pid):
 
 
 async def test_a_guard_ends_with_its_agent_and_not_with_a_terminal_s_signals():
-    sky = Sky(free_udp_port(), seed=1)
+    sky = Sky(free_port(), seed=1)
     async with flying_agent(sky, 1.0) as agent:
         await until(lambda: Path(f"/proc/{agent.pid}/task/{agent.pid}/children").read_text().strip())
         guard = guard_of(agent.pid)

@@ -7,7 +7,7 @@ import time
 
 from support.patience import PATIENCE
 from swarmtrack.benchmarks.guard import FlownPx4, Sky, flying_agent
-from swarmtrack.benchmarks.lone_agent import free_udp_port
+from swarmtrack.benchmarks.processes import free_port
 from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE, FlightMode
 
 FROZEN_S = 3.0
@@ -39,7 +39,7 @@ async def engage(sky):
 
 
 async def test_an_agent_that_was_frozen_is_not_taken_back_into_the_mode_by_px4_itself():
-    sky = Sky(free_udp_port(), seed=1, kind=FlownPx4)
+    sky = Sky(free_port(), seed=1, kind=FlownPx4)
     async with flying_agent(sky, 1.0) as agent:
         await engage(sky)
         os.kill(agent.pid, signal.SIGSTOP)
