@@ -44,6 +44,8 @@ KINDS = {
     "judge": "swarmtrack.agents.main",
 }
 MARK = "SWARMTRACK_FIRST_COMMAND"
+RECORDED = ("code", "words", "took_s", "cores", "whole_cores", "figures")
+"""Of each run, beside its summary."""
 MOST_CORES = 1.2  # in flight, of all processes together: the claim
 
 
@@ -104,26 +106,25 @@ class Run:
 
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
-    found = asyncio.run(_run_all(args.scenarios, args.runs, args.busy, args.words))
+    found = asyncio.run(_run_all(args))
     return {
         "busy": args.busy,
         "words": list(args.words),
         "scenarios": {name: _summary(many) for name, many in found.items()},
-        "runs": {name: [_record(one) for one in many] for name, many in found.items()},
+        "runs": {
+            name: [{of: getattr(one, of) for of in RECORDED} for one in many] for name, many in found.items()
+        },
     }
 
 
-async def _run_all(
-    scenarios: Sequence[str], runs: int, busy: int, words: Sequence[str]
-) -> dict[str, list[Run]]:
-    found: dict[str, list[Run]] = {}
-    with report.progress(NAME, len(scenarios) * runs) as advance:
-        async with others_busy(busy):
-            for name in scenarios:
-                found[name] = []
-                for _ in range(runs):
-                    found[name].append(await fly_once(name, *words))
-                    advance(f"{name}: {found[name][-1].words}")
+async def _run_all(args: argparse.Namespace) -> dict[str, list[Run]]:
+    found: dict[str, list[Run]] = {name: [] for name in args.scenarios}
+    with report.progress(NAME, len(found) * args.runs) as advance:
+        async with others_busy(args.busy):
+            for name, runs in found.items():
+                for _ in range(args.runs):
+                    runs.append(await fly_once(name, *args.words))
+                    advance(f"{name}: {runs[-1].words}")
     return found
 
 
@@ -163,16 +164,8 @@ async def fly_once(scenario: str, *words: str) -> Run:
         if not figures.exists():
             raise BenchmarkError(f"swarmtrack sim {scenario} ended with {code}:\n{heard.last}")
         took = time.monotonic() - began
-        return Run(
-            code,
-            heard.verdict,
-            json.loads(figures.read_text(encoding="utf-8")),
-            took,
-            heard.silent_s,
-            heard.flown_s,
-            heard.cores,
-            sum(usage.by_kind().values()) / took,
-        )
+        told, whole = json.loads(figures.read_text(encoding="utf-8")), sum(usage.by_kind().values()) / took
+        return Run(code, heard.verdict, told, took, heard.silent_s, heard.flown_s, heard.cores, whole)
 
 
 async def _watch(usage: Usage) -> None:
@@ -215,10 +208,8 @@ class _Heard:
 
 
 def _summary(many: Sequence[Run]) -> dict[str, Any]:
-    rmse = [
-        max((x for x in one.figures["tracking"]["rmse_px"].values() if x is not None), default=np.nan)
-        for one in many
-    ]
+    by_run = [one.figures["tracking"]["rmse_px"].values() for one in many]
+    rmse = [max((x for x in values if x is not None), default=np.nan) for values in by_run]
     kinds = sorted({kind for one in many for kind in one.cores})
     cores = [sum(one.cores.values()) for one in many]
     took = [one.took_s for one in many]
@@ -236,13 +227,6 @@ def _summary(many: Sequence[Run]) -> dict[str, Any]:
         "correct": min(one.figures["identity"]["correct"] or 0.0 for one in many),
         "wrong": max(one.figures["identity"]["wrong"] or 0.0 for one in many),
         "ok": all(one.passed for one in many) and max(cores) <= MOST_CORES,
-    }
-
-
-def _record(one: Run) -> dict[str, Any]:
-    """What the summary is of."""
-    return {
-        name: getattr(one, name) for name in ("code", "words", "took_s", "cores", "whole_cores", "figures")
     }
 
 
@@ -271,7 +255,7 @@ def _page(result: dict[str, Any]) -> str:
         "Cores in flight, by process:",
         report.table(["scenario", *kinds], spent),
         *(
-            f"{row['name']}: {'; '.join(f'{words}: {many}' for words, many in row['verdicts'].items())}."
+            f"{row['name']}: {'; '.join(f'{w}: {many}' for w, many in row['verdicts'].items())}."
             for row in rows
         ),
     )

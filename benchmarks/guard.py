@@ -99,12 +99,10 @@ class Hears:
         super().understand(message, now, channel)  # type: ignore[misc]
 
 
-class FlownArduPilot(Hears, SimulatedArduPilot):
-    """An ArduCopter."""
+class FlownArduPilot(Hears, SimulatedArduPilot): ...
 
 
-class FlownPx4(Hears, SimulatedPx4):
-    """A PX4."""
+class FlownPx4(Hears, SimulatedPx4): ...
 
 
 @dataclass(slots=True)
@@ -249,12 +247,11 @@ async def _happen(case: str, sky: Sky, agent: int) -> Flight:
     after = [heard for heard in sky.messages if heard.t > event]
     zeros = [heard.t - event for heard in after if heard.speed == 0.0]
     late = [heard.speed for heard in after if heard.t > event + ZERO_WITHIN_S]
-    return Flight(
-        min(zeros, default=math.nan),
+    last, flown_m = (
         max((heard.t - event for heard in after), default=0.0),
-        max(late, default=0.0),
         sky.north(time.monotonic()) - where,
     )
+    return Flight(min(zeros, default=math.nan), last, max(late, default=0.0), flown_m)
 
 
 class Told(NamedTuple):
@@ -322,11 +319,8 @@ def cost(seconds: float, *, signed: bool = False) -> Cost:
         guard = GuardProcess(FlightLimits(), bytes(32) if signed else None)
         guard.start()
         assert guard.pid is not None
-        guard.reach(
-            WayToAutopilot(
-                Wire(link.fileno(), autopilot.getsockname()), 0.0, 1, 191, target=1, version_1=False
-            )
-        )
+        wire = Wire(link.fileno(), autopilot.getsockname())
+        guard.reach(WayToAutopilot(wire, 0.0, 1, 191, target=1, version_1=False))
         took, begun, used = [], math.nan, math.nan
         rng = np.random.default_rng(1)
         for k in range(round(10.0 * seconds) + 10):
@@ -347,8 +341,7 @@ def cost(seconds: float, *, signed: bool = False) -> Cost:
     return Cost(share, mb, float(np.percentile(late, 95)), float(late.max()))
 
 
-@dataclass(frozen=True, slots=True)
-class Found:
+class Found(NamedTuple):
     """Flights by case, what came of decisions of anything at all, and what a guard costs."""
 
     flown: dict[str, list[Flight]]
@@ -395,18 +388,13 @@ COST_COLUMNS: report.Columns = (
 
 
 def page(found: Found) -> str:
-    rows = [
-        {
-            "case": CASES[case][0],
-            "flights": len(flights),
-            "ok": sum(flight.ok for flight in flights),
-            **{
-                name: _most(getattr(flight, name) for flight in flights)
-                for name in ("zero_s", "last_s", "flown_m")
-            },
+    rows = []
+    for case, flights in found.flown.items():
+        most = {
+            name: _most(getattr(one, name) for one in flights) for name in ("zero_s", "last_s", "flown_m")
         }
-        for case, flights in found.flown.items()
-    ]
+        ok = sum(flight.ok for flight in flights)
+        rows.append({"case": CASES[case][0], "flights": len(flights), "ok": ok, **most})
     return report.page(
         f"An agent flies its drone north at {SPEED_M_S:g} m/s; then this happens. In order: a set point of zero "
         f"velocity is heard within {ZERO_WITHIN_S:g} s, or none at all; none that is not zero after that; and "
@@ -417,7 +405,7 @@ def page(found: Found) -> str:
             "limit.",
             found.told,
         ),
-        report.table_of(COST_COLUMNS, [{"name": name, **one._asdict()} for name, one in found.costs.items()]),
+        report.table_by_name(COST_COLUMNS, {name: one._asdict() for name, one in found.costs.items()}),
     )
 
 

@@ -35,6 +35,7 @@ from swarmtrack.training.labelled_clips import Clip, drone_clips, find_clips, or
 from swarmtrack.training.labelled_images import held_out, load_frames
 
 QUICK_CLIPS = 2
+DRONE_FREE = "those without that `train --hold-out-negatives` keeps unseen"
 START_S = 1.0
 AIMS = {"recall": 0.85, "precision": 0.9, "identity_switches": 2}  # of one clip
 AGENT_TIMEOUT_S = 900.0  # for one clip of ten seconds: a stuck agent, no slow machine
@@ -95,21 +96,14 @@ def track_clip(
     annotated = folder / f"{clip.name}.mp4" if video else None
     config.write_text(config_text(clip, tracker, settings, jsonl, annotated), encoding="utf-8")
     command = [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(config), "--quiet"]
+    how: dict[str, Any] = {"env": agent_environment(), "capture_output": True, "text": True}
     try:
-        done = subprocess.run(
-            command,
-            env=agent_environment(),
-            capture_output=True,
-            text=True,
-            timeout=AGENT_TIMEOUT_S,
-            check=False,
-        )
+        done = subprocess.run(command, timeout=AGENT_TIMEOUT_S, check=False, **how)
     except subprocess.TimeoutExpired as error:
         raise BenchmarkError(f"{clip.video}: the agent was not done after {AGENT_TIMEOUT_S:g} s") from error
     if done.returncode != 0:
-        raise BenchmarkError(
-            f"{clip.video}: the agent ended with {done.returncode}: {done.stderr.strip()[-800:]}"
-        )
+        said = done.stderr.strip()[-800:]
+        raise BenchmarkError(f"{clip.video}: the agent ended with {done.returncode}: {said}")
     return jsonl
 
 
@@ -151,7 +145,7 @@ def count_false_tracks(clip: Clip, jsonl: Path) -> FalseTracks:
 
 
 def held_out_clips(data: Path) -> list[Clip]:
-    """The clips without drones that `train --hold-out-negatives` keeps unseen."""
+    """Of clips without drones."""
     clips = find_clips(data)
     places = origins(clips, load_frames(data))
     kept = [clip for clip in clips if held_out(places[clip.name].scene, places[clip.name].source)]
@@ -178,9 +172,8 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     if (args.data is None) == (args.jsonl is None) or (args.jsonl is None) != (args.gt is None):
         raise BenchmarkError("clips: expected either DATA, or --jsonl FILE and --gt FILE")
     if args.jsonl is not None:
-        return _scored(
-            {args.jsonl.stem: score_file(args.jsonl, args.gt, fps=args.fps)}, tracker=None, settings={}
-        )
+        scores = {args.jsonl.stem: score_file(args.jsonl, args.gt, fps=args.fps)}
+        return _scored(scores, tracker=None, settings={})
     told: dict[str, Any] = {"tracker": args.tracker, "settings": parse_settings(args.set)}
     some = slice(QUICK_CLIPS if args.quick else None)
     with tempfile.TemporaryDirectory() as scratch:
@@ -208,26 +201,19 @@ def _scored(scores: dict[str, ClipScore], *, tracker: str | None, settings: dict
     }
 
 
-def _drone_free(
-    clips: Sequence[Clip], folder: Path, *, tracker: str, settings: dict[str, str]
-) -> dict[str, Any]:
+def _drone_free(clips: Sequence[Clip], folder: Path, **told: Any) -> dict[str, Any]:
     """Track every one of the clips, which show no drone."""
     rows = []
     with report.progress("drone-free clips", len(clips)) as advance:
         for clip in clips:
-            rows.append(
-                count_false_tracks(clip, track_clip(clip, folder, tracker=tracker, settings=settings))
-            )
+            rows.append(count_false_tracks(clip, track_clip(clip, folder, **told)))
             advance(f"{clip.name}: {rows[-1].tracks} tracks")
+    kinds = sorted({row.clip.kind for row in rows})
     return {
-        "tracker": tracker,
-        "settings": settings,
+        **told,
         "start_s": START_S,
         "clips": [{"clip": row.clip.name} | _false_tracks([row]) for row in rows],
-        "by_kind": {
-            kind: _false_tracks([row for row in rows if row.clip.kind == kind])
-            for kind in sorted({row.clip.kind for row in rows})
-        },
+        "by_kind": {kind: _false_tracks([row for row in rows if row.clip.kind == kind]) for kind in kinds},
         "total": _false_tracks(rows),
     }
 
@@ -255,7 +241,7 @@ COLUMNS: report.Columns = (
     ("aim", lambda record: "" if record["clip"] == "total" else "reached" if _reached(record) else "missed"),
 )
 FALSE_COLUMNS: report.Columns = (
-    ("", "{kind}"),
+    ("", "{name}"),
     ("clips", "{clips}"),
     ("minutes", "{minutes:.2f}"),
     ("confirmed tracks", "{tracks}"),
@@ -272,16 +258,15 @@ def _reached(record: dict[str, Any]) -> bool:
 
 def _page(result: dict[str, Any]) -> str:
     if "by_kind" in result:
-        kinds = result["by_kind"] | {"all": result["total"]}
         return report.page(
             "# Confirmed tracks where no drone is",
             f"Every frame after the first {START_S:g} s of a clip.",
-            report.table_of(FALSE_COLUMNS, [{"kind": kind, **entry} for kind, entry in kinds.items()]),
+            report.table_by_name(FALSE_COLUMNS, result["by_kind"] | {"all": result["total"]}),
         )
-    changed = [f"`{key} = {value}`" for key, value in result["settings"].items()]
-    told = (
-        [f"tracker `{result['tracker']}`", *changed] if result["tracker"] else ["JSON lines from elsewhere"]
-    )
+    told = ["JSON lines from elsewhere"]
+    if result["tracker"]:
+        changed = [f"`{key} = {value}`" for key, value in result["settings"].items()]
+        told = [f"tracker `{result['tracker']}`", *changed]
     return report.page(
         "# Real clips",
         f"Confirmed tracks of `swarmtrack-agent` ({', '.join(told)})"
@@ -301,10 +286,7 @@ BENCH = Benchmark(
         CLIPS._replace(keywords={**CLIPS.keywords, "nargs": "?"}),
         listed("--set", "of the agent's config; tracker.KEY if bare", "KEY=VALUE"),
         flag("--video", "keep annotated videos and JSON lines, too"),
-        flag(
-            "--drone-free",
-            "instead of clips with drones: those without that `train --hold-out-negatives` keeps unseen",
-        ),
+        flag("--drone-free", f"instead of clips with drones: {DRONE_FREE}"),
         path("--jsonl", "instead of DATA: score what an agent wrote …", "FILE"),
         path("--gt", "… against these labels", "FILE"),
         option("--fps", "of that clip (default: %(default)g)", type=positive, default=30.0, metavar="F"),

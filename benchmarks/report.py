@@ -84,6 +84,11 @@ def table_of(columns: Columns, rows: Iterable[Any], *, numbers: bool = True) -> 
     return table([title for title, _ in columns], cells, numbers=numbers)
 
 
+def table_by_name(columns: Columns, rows: Mapping[str, Mapping[str, Any]]) -> str:
+    """The same of rows by their names, which columns find as `name`."""
+    return table_of(columns, [{"name": name, **row} for name, row in rows.items()])
+
+
 def filled(template: str, row: Any) -> str:
     """See the module."""
     return _Filler(row).vformat(template, (), {})

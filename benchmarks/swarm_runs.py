@@ -13,7 +13,6 @@ import argparse
 import asyncio
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from swarmtrack.benchmarks import report
@@ -32,21 +31,13 @@ SCENARIOS, DRONES = ("crossing", "occlusion", "fast-yaw"), 4
 SIZED = "thirty"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Programme:
-    """How long the flights of both experiments are, and how large the teams of the second."""
-
-    seconds: float = 20.0
-    sizes: Sequence[int] = (3, 10, 30)
-    size_seconds: float = 15.0
-
-
-USUAL, QUICK = Programme(), Programme(seconds=8.0, sizes=(3, 10), size_seconds=8.0)
+# How long flights of the first experiment are, s; how long those of the second, and of how many drones.
+USUAL, QUICK = (20.0, 15.0, (3, 10, 30)), (8.0, 8.0, (3, 10))
 
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
-    p = QUICK if args.quick else USUAL
-    names, sizes = (args.scenarios, ()) if args.scenarios else (SCENARIOS, p.sizes)
+    seconds, size_seconds, sizes = QUICK if args.quick else USUAL
+    names, sizes = (args.scenarios, ()) if args.scenarios else (SCENARIOS, sizes)
     with report.progress("swarms", len(names) * args.seeds + len(sizes)) as advance:
         lost: list[str] = []
 
@@ -55,17 +46,17 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
 
         recognition = {
             name: fly_all(
-                FlightPlan(name, DRONES, p.seconds, seed, args.tracker, "oracle")
+                FlightPlan(name, DRONES, seconds, seed, args.tracker, "oracle")
                 for seed in range(1, args.seeds + 1)
             )
             for name in names
         }
-        sized = fly_all(FlightPlan(SIZED, n, p.size_seconds, 1, args.tracker, "oracle") for n in sizes)
+        sized = fly_all(FlightPlan(SIZED, n, size_seconds, 1, args.tracker, "oracle") for n in sizes)
     return {
         "tracker": args.tracker,
-        "seconds": p.seconds,
+        "seconds": seconds,
         "seeds": args.seeds,
-        "size_seconds": p.size_seconds,
+        "size_seconds": size_seconds,
         "lost": lost,
         "recognition": {name: _recognition(runs) for name, runs in recognition.items()},
         "sizes": {str(one.drones): _size(one) for one in sized},
@@ -154,18 +145,15 @@ SIZE_COLUMNS: report.Columns = (
 
 
 def _page(result: dict[str, Any]) -> str:
-    def table(columns: report.Columns, found: dict[str, Any]) -> str:
-        return report.table_of(columns, [{"name": name, **row} for name, row in found.items()])
-
     sizes = [
         f"Scenario `{SIZED}` with its rates, {result['size_seconds']:g} s; means over the agents.",
-        table(SIZE_COLUMNS, result["sizes"]),
+        report.table_by_name(SIZE_COLUMNS, result["sizes"]),
     ]
     return report.page(
         "# Local swarms",
         f"{DRONES} drones, {result['seconds']:g} s, {result['seeds']} seeds a scenario, `--detector oracle`, tracker"
         f" `{result['tracker']}`; shares of all (observer, drone in view, tenth of a second).",
-        table(COLUMNS, result["recognition"]),
+        report.table_by_name(COLUMNS, result["recognition"]),
         *(sizes if result["sizes"] else []),
         *(f"Lost: {line}" for line in result["lost"]),
     )

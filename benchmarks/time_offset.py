@@ -60,10 +60,8 @@ class Glances:
     def __init__(self, heading: float, rng: np.random.Generator) -> None:
         begins = BEGINS_S - 1.0 + np.cumsum(rng.uniform(*self.EVERY_S, 20))
         self._begins: list[float] = begins.tolist()
-        self._headings: list[float] = [
-            heading,
-            *(heading + rng.uniform(-self.REACH, self.REACH, 20)).tolist(),
-        ]
+        later = heading + rng.uniform(-self.REACH, self.REACH, 20)
+        self._headings: list[float] = [heading, *later.tolist()]
 
     def yaw(self, t: float, flat: Array) -> tuple[float, float]:
         k = bisect_right(self._begins, t)
@@ -113,7 +111,6 @@ class Sensed(NamedTuple):
     """
 
     scenario: Scenario
-    observer: int
     imu: list[ImuSample]
     poses: list[EgoPose]
     scans: list[Detections]
@@ -150,8 +147,7 @@ def _sense(condition: Condition, seed: int, seconds: float) -> Sensed:
     if condition.observer is not None:
         planned = world.drones[observer]
         assert isinstance(planned, Trajectory)
-        changed = condition.observer(world, planned)
-        world = replace(world, drones={**world.drones, observer: changed})
+        world = replace(world, drones={**world.drones, observer: condition.observer(world, planned)})
     imu, begins, ends = (
         Imu(world, observer, ImuParameters(rate_hz=IMU_HZ)),
         BEGINS_S - 0.5,
@@ -172,15 +168,8 @@ def _sense(condition: Condition, seed: int, seconds: float) -> Sensed:
         scans.append(detect(boxes, scenario.camera, scenario.detector, rng, t=t, sequence=k))
         information += _information(scenario, world, observer, boxes, t)
     limit = 1.0 / math.sqrt(information) if information > 0.0 else math.inf
-    return Sensed(
-        replace(scenario, world=world),
-        observer,
-        samples,
-        poses,
-        scans,
-        scenario.body_from_camera.rotation.T @ imu.gyro_bias,
-        limit,
-    )
+    bias = scenario.body_from_camera.rotation.T @ imu.gyro_bias
+    return Sensed(scenario, samples, poses, scans, bias, limit)
 
 
 def _information(scenario: Scenario, world: World, observer: int, boxes: dict[int, Array], t: float) -> float:
@@ -220,8 +209,7 @@ def _play(sensed: Sensed, offset_s: float, seconds: float) -> Run:
                 clock.add_scan(stamp, Scan(exposure, camera.undistort(what.centre)), camera)
             case None:
                 judged.append(_judge(clock, bias, offset_s, sensed.bias))
-    errors, sigmas, worst, rms, bias_sigmas = np.array(judged).T
-    return Run(offset_s, errors, sigmas, worst, rms, bias_sigmas, sensed.limit_s)
+    return Run(offset_s, *np.array(judged).T, sensed.limit_s)
 
 
 def _judge(clock: CameraClock, gyro_bias: GyroBias, offset_s: float, truth: Array) -> tuple[float, ...]:
@@ -245,8 +233,8 @@ def summarise(runs: list[Run]) -> dict[str, Any]:
     rng = np.random.default_rng(0)
     errors, sigmas = np.array([run.errors[-1] for run in runs]), np.array([run.sigmas[-1] for run in runs])
     claims = np.isfinite(errors)
-    used = np.array([bool((run.sigmas < OFFSET_USED_SIGMA_S).any()) for run in runs])  # NaN is not smaller
-    first = [_first(run.sigmas < OFFSET_USED_SIGMA_S) for run in runs]
+    first = [_first(run.sigmas < OFFSET_USED_SIGMA_S) for run in runs]  # NaN is not smaller
+    used = np.isfinite(first)
     result: dict[str, Any] = {
         "runs": len(runs),
         "limit_ms": 1e3 * float(np.median([run.limit_s for run in runs])),
@@ -265,10 +253,8 @@ def summarise(runs: list[Run]) -> dict[str, Any]:
             "within_2ms": fraction_interval(within, np.ones(len(runs)))._asdict(),
             "nees": mean_interval(ratio)._asdict(),
         }
-    when_sure = np.array(
-        [_when_sure(run) for run in runs if (run.sigmas < OFFSET_USED_SIGMA_S).any()]
-    ).reshape(-1, 2)
-    if len(when_sure):
+    if used.any():
+        when_sure = np.array([_when_sure(run) for run, sure in zip(runs, used, strict=True) if sure])
         result["worst_when_sure_ms"] = 1e3 * float(np.abs(when_sure[:, 0]).max())
         result["nees_when_sure"] = mean_interval((when_sure[:, 0] / when_sure[:, 1]) ** 2)._asdict()
     return result
@@ -358,7 +344,7 @@ UNKNOWN = dict.fromkeys(("error_ms", "rms_ms", "within_2ms", "nees", "worst_when
 
 def _page(result: dict[str, Any]) -> str:
     by_offset, by_condition = (
-        [{**UNKNOWN, **entry, "name": name} for name, entry in result[by].items() if name != "condition"]
+        {name: UNKNOWN | entry for name, entry in result[by].items() if name != "condition"}
         for by in ("by_offset", "by_condition")
     )
     return report.page(
@@ -366,11 +352,11 @@ def _page(result: dict[str, Any]) -> str:
         f"After {result['seconds']:g} s of simulated flight, {result['seeds']} seeds; 95 % intervals. NEES: mean"
         " squared error over claimed variance, 1 where σ is honest, less where it is modest.",
         f"## Time offset, {FIRST}",
-        report.table_of(COLUMNS, by_offset),
+        report.table_by_name(COLUMNS, by_offset),
         "## Time offset by flight, one of the offsets each",
-        report.table_of(COLUMNS, by_condition),
+        report.table_by_name(COLUMNS, by_condition),
         "## Gyro bias",
-        report.table_of(BIAS_COLUMNS, [{**row["bias"], "name": row["name"]} for row in by_condition]),
+        report.table_by_name(BIAS_COLUMNS, {name: row["bias"] for name, row in by_condition.items()}),
     )
 
 
@@ -382,11 +368,9 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
     for one in flights[:60]:
         left.plot(t, 1e3 * one.errors, color="0.75", linewidth=0.6)
     shown = next((one for one in flights if one.offset_s == max(OFFSETS_S)), flights[0])
-    band = 2e3 * shown.sigmas
-    left.fill_between(
-        t, 1e3 * shown.errors - band, 1e3 * shown.errors + band, alpha=0.3, label="±2σ of one flight"
-    )
-    left.plot(t, 1e3 * shown.errors, label=f"that flight, offset {1e3 * shown.offset_s:+.0f} ms")
+    error, band = 1e3 * shown.errors, 2e3 * shown.sigmas
+    left.fill_between(t, error - band, error + band, alpha=0.3, label="±2σ of one flight")
+    left.plot(t, error, label=f"that flight, offset {1e3 * shown.offset_s:+.0f} ms")
     for limit in (-1e3 * WITHIN_S, 1e3 * WITHIN_S):
         left.axhline(limit, color="0.3", linestyle=":", linewidth=0.8)
     left.set(xlabel="time, s", ylabel="error of the offset, ms", ylim=(-20.0, 20.0), title=name)
@@ -396,9 +380,8 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
         some = np.isfinite(errors).mean(axis=0) >= 0.5
         if some.any():
             (line,) = right.plot(t[some], 1e3 * np.sqrt(np.nanmean(errors[:, some] ** 2, axis=0)), label=name)
-            right.plot(
-                t[some], 1e3 * np.nanmedian(sigmas[:, some], axis=0), color=line.get_color(), linestyle="--"
-            )
+            claimed = 1e3 * np.nanmedian(sigmas[:, some], axis=0)
+            right.plot(t[some], claimed, color=line.get_color(), linestyle="--")
     right.axhline(1e3 * OFFSET_USED_SIGMA_S, color="0.3", linestyle=":", linewidth=0.8)
     right.set(xlabel="time, s", ylabel="RMS error (dashed: median σ claimed), ms", yscale="log")
     right.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))

@@ -16,7 +16,7 @@ import asyncio
 import math
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +53,14 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     seconds = 60.0 * args.minutes
     window_s = min(WINDOW_S, seconds / MIN_WINDOWS)
     with report.progress(NAME, round(seconds / window_s)) as advance:
-        found = asyncio.run(_fly(args.out, seconds, window_s, args.tracker, _teller(advance)))
+
+        def tell(window: Window) -> None:
+            """What is worst in it."""
+            lag = max((agent.lag_max_s for agent in window.agents.values()), default=math.nan)
+            size = max(size for name, size in window.rss_mb.items() if name.startswith("drone"))
+            advance(f"agents {size:.0f} MB, loop {1e3 * lag:.0f} ms late at most")
+
+        found = asyncio.run(_fly(args.out, seconds, window_s, args.tracker, tell))
     draw(args.out / f"{NAME}.png", found.windows, found.settled_s)
     return {"seconds": seconds, "window_s": window_s, "tracker": args.tracker, "found": found}
 
@@ -68,21 +75,9 @@ async def _fly(
             await flight.until_standing(swarm, folder, DRONES)
             windows = await flight.measure(swarm, seconds + 0.5 * AFTER_S, window_s, on_window)
             flown = await flight.landed(swarm, folder)
-        recorded = sum(
-            file.stat().st_size for file in (folder / flight.RECORDING).rglob("*") if file.is_file()
-        )
-    return Found(windows, verdict.settled_s(seconds), 1e-6 * recorded, flown)
-
-
-def _teller(advance: Callable[[str], None]) -> Callable[[Window], None]:
-    """Advances the line of progress, with what is worst in the window."""
-
-    def tell(window: Window) -> None:
-        lag = max((agent.lag_max_s for agent in window.agents.values()), default=math.nan)
-        agents = [size for name, size in window.rss_mb.items() if name.startswith("drone")]
-        advance(f"agents {max(agents):.0f} MB, loop {1e3 * lag:.0f} ms late at most")
-
-    return tell
+        files = [file for file in (folder / flight.RECORDING).rglob("*") if file.is_file()]
+        recorded_mb = 1e-6 * sum(file.stat().st_size for file in files)
+    return Found(windows, verdict.settled_s(seconds), recorded_mb, flown)
 
 
 def _record(measured: dict[str, Any]) -> dict[str, Any]:
@@ -101,11 +96,7 @@ def _record(measured: dict[str, Any]) -> dict[str, Any]:
 
 def _window(window: Window) -> dict[str, Any]:
     return {
-        "t_s": window.t_s,
-        "seconds": window.seconds,
-        "rss_mb": dict(window.rss_mb),
-        "cpu_percent": dict(window.cpu_percent),
-        "elsewhere_percent": window.elsewhere_percent,
+        **{field.name: getattr(window, field.name) for field in fields(window)},
         "agents": {str(drone_id): agent._asdict() for drone_id, agent in window.agents.items()},
         "viewer": window.viewer._asdict(),
     }
@@ -218,11 +209,11 @@ def _agent(windows: Sequence[Window], drone_id: int) -> dict[str, Any]:
 def _viewer(windows: Sequence[Window]) -> str:
     if not windows:
         return ""
-    viewers = [window.viewer for window in windows]
+    states, views, kilobytes, waits = zip(*(window.viewer for window in windows), strict=True)
     return (
-        f"Viewer: {_mean([v.states_hz for v in viewers]):.2f} states and {_mean([v.views_hz for v in viewers]):.1f}"
-        f" views a second ({_mean([v.kilobytes_per_s for v in viewers]):.0f} kB/s; views of a swarm that detects by"
-        f" itself have boxes and no picture); at most {max(v.longest_wait_s for v in viewers):.2f} s without a state."
+        f"Viewer: {_mean(states):.2f} states and {_mean(views):.1f} views a second ({_mean(kilobytes):.0f} kB/s; views"
+        " of a swarm that detects by itself have boxes and no picture); at most"
+        f" {max(waits):.2f} s without a state."
     )
 
 

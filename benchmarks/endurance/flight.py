@@ -64,20 +64,9 @@ class Swarm:
 @asynccontextmanager
 async def flying(folder: Path, seconds: float, tracker: str) -> AsyncIterator[Swarm]:
     """`swarmtrack sim` with monitor and recording, its verdict in `folder`; ended on leaving, whatever happens."""
-    options = [
-        "--scenario",
-        SCENARIO,
-        "--detector",
-        "oracle",
-        "--tracker",
-        tracker,
-        "--seconds",
-        str(seconds),
-    ]
-    options += ["--monitor", "--record", str(folder / RECORDING), "--json", str(folder / "verdict.json")]
-    async with module_process(
-        OURS, "sim", *options, stderr=asyncio.subprocess.STDOUT, patience_s=STOP_S
-    ) as launcher:
+    words = f"sim --scenario {SCENARIO} --detector oracle --tracker {tracker} --seconds {seconds} --monitor".split()
+    words += ["--record", str(folder / RECORDING), "--json", str(folder / "verdict.json")]
+    async with module_process(OURS, *words, stderr=asyncio.subprocess.STDOUT, patience_s=STOP_S) as launcher:
         swarm = Swarm(launcher)
         listening = asyncio.create_task(_listen_to(swarm))
         try:
@@ -127,17 +116,12 @@ async def landed(swarm: Swarm, folder: Path) -> dict[str, Any]:
     return {**json.loads(file.read_text(encoding="utf-8")), "shortfalls": shortfalls}
 
 
-def command_of(pid: int) -> list[str]:
-    """Its arguments; empty where it has ended."""
-    try:
-        return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8", errors="replace").split("\0")
-    except OSError:
-        return []
-
-
 def name_of(pid: int) -> str | None:
-    """What a process of the swarm is, by its arguments; None: nothing that is measured, such as the reaper."""
-    arguments = command_of(pid)
+    """What a process of the swarm is, by its arguments; None: nothing that is measured, or that has ended."""
+    try:
+        arguments = Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8", errors="replace").split("\0")
+    except OSError:
+        return None
     if "swarmtrack.agents.simulator" in arguments:
         return "simulator"
     if "monitor" in arguments:
@@ -209,8 +193,9 @@ def _frames_dropped(health: HealthMessage) -> int:
     """Overtaken while the agent was busy, too old when their turn came, or behind the tracker's time."""
     cameras = [link.counters for link in health.links if {"frames", "dropped"} <= link.counters.keys()]
     # A camera's link bears its address as name.
-    overtaken = int(sum(counters["dropped"] for counters in cameras))
-    return overtaken + sum(health.drops.get(name, 0) for name in ("stale_frames", "late_scans"))
+    return int(sum(counters["dropped"] for counters in cameras)) + sum(
+        health.drops.get(name, 0) for name in ("stale_frames", "late_scans")
+    )
 
 
 class Viewer:
@@ -232,7 +217,10 @@ class Viewer:
             async for message in socket:
                 self._bytes += len(message.data)
                 if message.type is aiohttp.WSMsgType.TEXT:
-                    self._on_state()
+                    now = time.monotonic()
+                    self._longest_wait = max(self._longest_wait, now - self._state_at)
+                    self._state_at = now
+                    self._states += 1
                     drones = [drone["id"] for drone in json.loads(message.data)["drones"]]
                     if drones != watched:
                         watched = drones
@@ -246,26 +234,16 @@ class Viewer:
         now = time.monotonic()
         seconds = now - self._began
         waited = max(self._longest_wait, now - self._state_at)
-        window = ViewerWindow(
-            self._states / seconds, self._views / seconds, 1e-3 * self._bytes / seconds, waited
-        )
+        window = ViewerWindow(*(n / seconds for n in (self._states, self._views, 1e-3 * self._bytes)), waited)
         self._states = self._views = self._bytes = 0
         self._began, self._longest_wait = now, 0.0
         return window
 
-    def _on_state(self) -> None:
-        now = time.monotonic()
-        self._longest_wait = max(self._longest_wait, now - self._state_at)
-        self._state_at = now
-        self._states += 1
-
 
 def machine_seconds() -> float:
     """Time in which the cores of this machine did something, since it started; waiting for a disk is nothing."""
-    user, nice, system, _, _, *interrupts = (
-        Path("/proc/stat").read_text(encoding="ascii").split("\n")[0].split()[1:9]
-    )
-    return sum(map(int, (user, nice, system, *interrupts))) / os.sysconf("SC_CLK_TCK")
+    fields = Path("/proc/stat").read_text(encoding="ascii").split("\n")[0].split()[1:9]
+    return sum(map(int, fields[:3] + fields[5:])) / os.sysconf("SC_CLK_TCK")
 
 
 # --- measuring ----------------------------------------------------------------------------------------

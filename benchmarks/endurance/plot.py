@@ -11,6 +11,7 @@ import numpy as np
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.endurance import verdict
 from swarmtrack.benchmarks.endurance.verdict import JUDGE, MAX_GROWTH, MAX_LAG_S, MAX_UNSTEADY, RATES, Window
+from swarmtrack.messages import Array
 
 DPI = 140
 # Of processes in turn; colour-blind safe.
@@ -32,14 +33,10 @@ def draw(file: Path, windows: Sequence[Window], settled_s: float) -> None:
     _rates(panels[2], minutes, windows, colours)
     for name in names:
         panels[3].plot(minutes, [w.cpu_percent[name] for w in windows], color=colours[name], label=name)
-    panels[3].plot(
-        minutes, [w.elsewhere_percent for w in windows], "k--", linewidth=0.9, label="all else here"
-    )
-    panels[3].set(
-        ylabel="% of a core",
-        title="CPU of each process, and of whatever else ran on the machine",
-        xlabel="minutes of flight",
-    )
+    elsewhere = [w.elsewhere_percent for w in windows]
+    panels[3].plot(minutes, elsewhere, "k--", linewidth=0.9, label="all else here")
+    title = "CPU of each process, and of whatever else ran on the machine"
+    panels[3].set(ylabel="% of a core", title=title, xlabel="minutes of flight")
     panels[3].set_ylim(bottom=0.0)
     for panel in panels:
         panel.axvspan(0.0, settled_s / 60.0, color="0.93", zorder=0)
@@ -51,11 +48,7 @@ def draw(file: Path, windows: Sequence[Window], settled_s: float) -> None:
 
 
 def _memory(
-    panel: Any,
-    minutes: np.ndarray[Any, Any],
-    windows: Sequence[Window],
-    settled: int,
-    colours: dict[str, str],
+    panel: Any, minutes: Array, windows: Sequence[Window], settled: int, colours: dict[str, str]
 ) -> None:
     """settled: the window whose memory is 100 %."""
     for name, colour in colours.items():
@@ -66,9 +59,7 @@ def _memory(
     panel.set(ylabel="% of when settled", title="Memory (resident) of each process")
 
 
-def _lag(
-    panel: Any, minutes: np.ndarray[Any, Any], windows: Sequence[Window], colours: dict[str, str]
-) -> None:
+def _lag(panel: Any, minutes: Array, windows: Sequence[Window], colours: dict[str, str]) -> None:
     for drone_id in _agents(windows):
         colour = colours[f"drone {drone_id}"]
         for label, style, figure in (
@@ -87,9 +78,7 @@ def _lag(
     panel.set(ylabel="ms", title="How late the agents' event loops were")
 
 
-def _rates(
-    panel: Any, minutes: np.ndarray[Any, Any], windows: Sequence[Window], colours: dict[str, str]
-) -> None:
+def _rates(panel: Any, minutes: Array, windows: Sequence[Window], colours: dict[str, str]) -> None:
     for drone_id in _agents(windows):
         for name in RATES:
             values = np.array(verdict.rates(windows, drone_id, name))

@@ -541,7 +541,7 @@ def test_the_benchmark_pools_views_and_names_the_worst_run(tmp_path, monkeypatch
 
     monkeypatch.setattr(swarm_runs, "fly", fly)
     monkeypatch.setattr(swarm_runs, "SCENARIOS", ("crossing",))
-    monkeypatch.setattr(swarm_runs, "USUAL", swarm_runs.Programme(sizes=(3, 30)))
+    monkeypatch.setattr(swarm_runs, "USUAL", (20.0, 15.0, (3, 30)))
     result = swarm_runs.BENCH.publish(tmp_path, seeds=3)
     crossing = result["recognition"]["crossing"]
     assert (crossing["runs"], crossing["passed"], crossing["samples"]) == (2, 1, 500)
