@@ -1,8 +1,7 @@
-"""Names with several cameras per drone: whole flights in virtual time, and what seams cost.
+"""Names with several cameras per drone: whole flights in virtual time, and what seams cost (docs/cameras.md).
 
-Everybody's real `Onboard` flies `all-round` (four cameras each) and `two-cameras`, judged as `swarmtrack sim` judges. A
-drone is *at a seam* of an observer while two of its cameras see it, and for `SEAM_S` after the one that saw it no
-longer does and another one sees it: a crossing. It is *nameless* where no confirmed track has its name, from `GRACE`
+A drone is *at a seam* of an observer while two of its cameras see it, and for `SEAM_S` after a crossing: the one that
+saw it no longer does, and another one sees it. It is *nameless* where no confirmed track has its name, from `GRACE`
 after it came into view.
 """
 
@@ -130,14 +129,8 @@ BENCH = Flights(
     seeds=seeds(20, quick=2),
     options=(TRACKER, scenarios(SCENARIOS), PROCESSES),
     rows=lambda args: [
-        Row(
-            name,
-            partial(fly, name, _seconds(args), args.tracker),
-            summary,
-            {"name": name},
-            ("scenarios", name),
-        )
-        for name in args.scenarios
+        Row(n, partial(fly, n, _seconds(args), args.tracker), summary, {"name": n}, ("scenarios", n))
+        for n in args.scenarios
     ],
     facts=lambda args: {"seeds": args.seeds, "seconds": _seconds(args), "tracker": args.tracker},
     columns=(
@@ -153,4 +146,3 @@ BENCH = Flights(
         ("worst RMSE, px", "{worst_rmse_px:.2f}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

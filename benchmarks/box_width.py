@@ -1,27 +1,23 @@
 """How wide a detector draws its boxes: on drawn drones of known span and distance, and on labelled real ones.
 
-Drones of 0.3 to 0.8 m and five shapes fly away from a camera until they are some pixels wide, turning and banking, in
-front of drawn skies, hills and houses. The detector looks as an agent's does, with its second stage. Of each box its
-width is set beside that of the span at that distance, and `calibration/box_width.py` fits
-
-    width = factor · span + padding,    with errors of its logarithm: from drone to drone, wandering, white
+The detector looks as an agent's does. Of each box its width is set beside that of the span at that distance, and
+`calibration/box_width.py` fits width = factor · span + padding, with errors of its logarithm (docs/model.md).
 
 Nobody measured the real drones of `--clips`. There the width of the label stands for the drone's, or what differs from
 the sky where that is smooth (`dataset.cut_out`). The errors that a model should state are the larger ones of drawn
 drones and of real ones beside what is visible (without `--clips`: those of the default).
 
-Ranges are off, where the width alone tells them and an agent believes what is fitted here, by a mean over drones, by a
-scatter from drone to drone, and by one within a flight, all of their logarithm. --write writes what is to be stated
-into the file that widths are of: the second stage's where that tells spans.
+Ranges by the width alone are off by a mean over drones, from drone to drone, and within a flight, all of their
+logarithm. --write writes what is to be stated into the file that widths are of.
 """
 
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -30,7 +26,7 @@ import numpy as np
 
 from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.clip_frames import frames
+from swarmtrack.benchmarks.clip_frames import detected, frames
 from swarmtrack.benchmarks.harness import PROCESSES, SECOND_STAGE, Benchmark, flag, flown, option, path, seeds
 from swarmtrack.calibration.box_width import (
     FEWEST_BOXES_OF_DRONE,
@@ -64,12 +60,12 @@ NAME = "box-width"
 USUAL = Airframe()
 SHAPES = {
     "usual": USUAL,
-    "racer": dataclasses.replace(
+    "racer": replace(
         USUAL, body_length=0.12, body_width=0.07, body_top=-0.04, body_bottom=0.035, legs_z=0.04
     ),
-    "small rotors": dataclasses.replace(USUAL, rotor_radius=0.075),
-    "tall": dataclasses.replace(USUAL, body_top=-0.08, body_bottom=0.09, legs_z=0.16),
-    "long": dataclasses.replace(USUAL, body_length=0.32, body_width=0.08),
+    "small rotors": replace(USUAL, rotor_radius=0.075),
+    "tall": replace(USUAL, body_top=-0.08, body_bottom=0.09, legs_z=0.16),
+    "long": replace(USUAL, body_length=0.32, body_width=0.08),
 }
 """Of drawn drones, by turns."""
 SECONDS, FPS = 20.0, 10.0
@@ -143,9 +139,7 @@ def fly(model: str, second_stage: str, seed: int) -> Widths:
     for k in range(int(SECONDS * FPS)):
         t = k / FPS
         frame = Frame(t, 0.0, k, renderer.image(OBSERVER, t, k), StampKind.EXPOSURE)
-        found = detector.detect(detector.plan(frame, expected))
-        if found is None:
-            raise report.BenchmarkError(detector.status().text)
+        found = detected(detector, frame, expected)
         away = flown.position(t) - camera.position
         pixel = CAMERA.project_undistorted(away[None] @ camera.rotation)[0]
         off = np.linalg.norm(found.centre - pixel, axis=1)
@@ -218,10 +212,8 @@ def range_errors(drones: Sequence[Widths], believed: BoxWidth) -> RangeErrors:
     """Where boxes are believed to be so wide; without boxes of something else."""
     off = []
     for drone in drones:
-        span = (
-            np.maximum(drone.box_px - believed.padding_px, LEAST_DRONE_SHARE * drone.box_px) / believed.factor
-        )
-        error = np.log(drone.span_px / span)
+        wide = np.maximum(drone.box_px - believed.padding_px, LEAST_DRONE_SHARE * drone.box_px)
+        error = np.log(drone.span_px / (wide / believed.factor))
         off.append(error[np.abs(error) < OTHER_THING])
     off = [errors for errors in off if len(errors) >= FEWEST_BOXES_OF_DRONE]
     means = [float(errors.mean()) for errors in off]
@@ -231,11 +223,9 @@ def range_errors(drones: Sequence[Widths], believed: BoxWidth) -> RangeErrors:
 
 def stated(drawn: WidthFit, real: BoxWidth) -> BoxWidth:
     """What a model should say of itself: the widths of drawn drones, and errors as large as on any."""
-    worse = {
-        name: max(getattr(drawn.width, name), getattr(real, name))
-        for name in ("drone_sigma", "wander_sigma", "white_sigma")
-    }
-    return dataclasses.replace(drawn.width, **worse, wander_s=real.wander_s)
+    names = ("drone_sigma", "wander_sigma", "white_sigma")
+    worse = {name: max(getattr(drawn.width, name), getattr(real, name)) for name in names}
+    return replace(drawn.width, **worse, wander_s=real.wander_s)
 
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
@@ -249,13 +239,11 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     rows = {"drawn": _record(drawn, flights)}
     real = BoxWidth()
     if args.clips is not None:
-        labels, visible = (
-            answered(detector, some)
-            for some in on_clips(args.clips, detector, limit=2 if args.quick else None)
-        )
+        some = on_clips(args.clips, detector, limit=2 if args.quick else None)
+        labels, visible = (answered(detector, drones) for drones in some)
         real = (by_sight := fit_box_width(visible)).width
         rows |= {"labels": _record(fit_box_width(labels), labels), "visible": _record(by_sight, visible)}
-    says, second = dataclasses.asdict(stated(drawn, real)), detector.second_stage
+    says, second = asdict(stated(drawn, real)), detector.second_stage
     if args.write:
         # Only who writes models needs the package `onnx`.
         from swarmtrack.training.annotation import annotate  # noqa: PLC0415
@@ -275,7 +263,7 @@ def _record(found: WidthFit, drones: Sequence[Widths]) -> dict[str, Any]:
     return {
         "boxes": found.boxes,
         "drones": found.drones,
-        **dataclasses.asdict(found.width),
+        **asdict(found.width),
         "ranges": range_errors(drones, found.width)._asdict(),
     }
 
@@ -305,12 +293,13 @@ NOT_STATED = {"drones": None, "boxes": None, "ranges": dict.fromkeys(RangeErrors
 
 def _page(result: dict[str, Any]) -> str:
     rows = {**result["rows"], "stated": NOT_STATED | result["stated"]}
+    rows = {ROW_NAMES[key]: row for key, row in rows.items()}
     return report.page(
         "# How wide boxes are",
         f"`{result['model']}`, second stage `{result['second_stage']}`, looking as an agent does at drawn drones of "
         f"{len(SHAPES)} shapes, and at whole frames of real ones. Width of {result['of']} = factor · width + padding; "
         "errors of its logarithm, and of that of the distance that it tells.",
-        report.table_of(COLUMNS, [{"name": ROW_NAMES[key], **row} for key, row in rows.items()]),
+        report.table_by_name(COLUMNS, rows),
     )
 
 
@@ -329,4 +318,3 @@ BENCH = Benchmark(
         flag("--write", "write what was found into the model's metadata"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

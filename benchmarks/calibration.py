@@ -1,11 +1,6 @@
 """How well calibrations find a truth that is known: extrinsics by hand, intrinsics of rendered boards.
 
-*Extrinsics*: a drone is turned about all axes in a round room, its camera (320 x 240 at 15 Hz, a lens with distortion)
-mounted anyhow, its clock off by up to 100 ms, its gyro (200 Hz) with bias and noise; the position sways by centimetres.
-The rendered frames go through the same functions as those of `swarmtrack calibrate extrinsics`.
-
-*Intrinsics*: 40 views of a board, rendered through a camera with known numbers, go through those of
-`swarmtrack calibrate intrinsics`: found, chosen, fitted.
+Rendered frames and boards go through the same functions as those of `swarmtrack calibrate` (docs/calibration.md).
 """
 
 from __future__ import annotations
@@ -86,12 +81,8 @@ def hand_turned(
     found = solve(turns, gyro)
     assert found is not None, "the image was understood nowhere"
     wrong = doubts(found, compare(turns, gyro, found.camera_from_body), seconds=seconds, reach=0.3)
-    return Minute(
-        found,
-        float(rotation.angle(found.camera_from_body @ body_from_camera)),
-        found.time_offset_s - offset,
-        not wrong,
-    )
+    rotation_error = float(rotation.angle(found.camera_from_body @ body_from_camera))
+    return Minute(found, rotation_error, found.time_offset_s - offset, not wrong)
 
 
 class Shown(NamedTuple):
@@ -134,14 +125,13 @@ def _alone(fly: Callable[[int], Any], seed: int) -> Any:
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
     """calibration.png into `args.out`, too."""
-    boards: list[tuple[Kind, Model]] = [(kind, "radtan") for kind in BOARD_KINDS] + [
-        ("charuco", "equidistant")
+    boards: list[tuple[Kind, Model]] = [
+        *((kind, "radtan") for kind in BOARD_KINDS),
+        ("charuco", "equidistant"),
     ]
     (minutes,) = flown("turned by hand", [("", partial(_alone, hand_turned))], range(args.seeds))
-    parts = [
-        (f"{kind}, {model}", partial(_alone, partial(board_shown, kind=kind, model=model)))
-        for kind, model in boards
-    ]
+    shows = [partial(board_shown, kind=kind, model=model) for kind, model in boards]
+    parts = [(", ".join(board), partial(_alone, show)) for board, show in zip(boards, shows, strict=True)]
     by_board = list(flown("boards", parts, range(max(args.seeds // 6, 2))))
     _plot(args.out / f"{NAME}.png", minutes)
     return {
@@ -227,4 +217,3 @@ def _plot(path: Path, minutes: list[Minute]) -> None:
 
 
 BENCH = Benchmark(NAME, _measured, _page, options=(seeds(20, quick=4),), draws=True)
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -111,4 +111,3 @@ BENCH = Benchmark(
     ),
     record=_record,
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -128,11 +128,8 @@ def separated(found: Jitter) -> tuple[float, float, float]:
     good = apart <= WORST * NORMAL_MAD * np.median(apart)
     box, label = found.box[good], found.label[good]
     shaking = float(np.mean(box * label))
-    return (
-        (float(np.mean(box**2)) - shaking) / GAIN,
-        (float(np.mean(label**2)) - shaking) / GAIN,
-        shaking / GAIN,
-    )
+    of_box, of_label = (float(np.mean(jitter**2)) - shaking for jitter in (box, label))
+    return of_box / GAIN, of_label / GAIN, shaking / GAIN
 
 
 def by_side(found: Jitter) -> list[dict[str, float]]:
@@ -141,24 +138,18 @@ def by_side(found: Jitter) -> list[dict[str, float]]:
         part = found.within(low, high)
         if len(part.side) >= FEWEST:
             box, label, shaking = separated(part)
-            rows.append(
-                {
-                    "pairs": len(part.side),
-                    "side_px": float(part.side.mean()),
-                    "box_px": _root(box),
-                    "label_px": _root(label),
-                    "shaking_px": _root(shaking),
-                }
-            )
+            roots = {"box_px": _root(box), "label_px": _root(label), "shaking_px": _root(shaking)}
+            rows.append({"pairs": len(part.side), "side_px": float(part.side.mean()), **roots})
     return rows
 
 
 def by_score(found: Residuals) -> list[dict[str, float]]:
     rows = []
     for low, high in pairwise(SCORES):
-        share = found.share[(found.score >= low) & (found.score < high)]
+        within = (found.score >= low) & (found.score < high)
+        share = found.share[within]
         if len(share) >= FEWEST:
-            score = float(found.score[(found.score >= low) & (found.score < high)].mean())
+            score = float(found.score[within].mean())
             noise = float(NORMAL_MAD * np.median(np.abs(share)))
             rows.append({"pairs": len(share), "score": score, "share_of_side": noise})
     return rows
@@ -217,10 +208,11 @@ def measure(drones: Sequence[Sightings]) -> dict[str, Any]:
     """Both tables and the fit, with 95 % intervals over drones drawn with replacement."""
     jitters, rests = [jitter(drone) for drone in drones], [residuals(drone) for drone in drones]
 
+    def joined(parts: Sequence[Any], drawn: Sequence[int]) -> list[Array]:
+        return [np.concatenate(part) for part in zip(*(parts[i] for i in drawn), strict=True)]
+
     def tables(drawn: Sequence[int]) -> tuple[list[dict[str, float]], list[dict[str, float]]]:
-        together = Jitter(*(np.concatenate(part) for part in zip(*(jitters[i] for i in drawn), strict=True)))
-        rest = Residuals(*(np.concatenate(part) for part in zip(*(rests[i] for i in drawn), strict=True)))
-        return by_side(together), by_score(rest)
+        return by_side(Jitter(*joined(jitters, drawn))), by_score(Residuals(*joined(rests, drawn)))
 
     n, rng = len(drones), np.random.default_rng(0)
     sides, scores = tables(range(n))
@@ -285,4 +277,3 @@ def _page(result: dict[str, Any]) -> str:
 
 
 BENCH = Benchmark("detection-noise", _measured, _page, options=(CLIPS,))
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,18 +22,19 @@ import numpy as np
 
 from swarmtrack.arguments import count
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.clip_frames import frames
+from swarmtrack.benchmarks.clip_frames import detected, frames
+from swarmtrack.benchmarks.figures import spent_s
 from swarmtrack.benchmarks.harness import SECOND_STAGE, Benchmark, flag, listed, option, path
 from swarmtrack.benchmarks.report import BenchmarkError
 from swarmtrack.detection.detector import Detector
-from swarmtrack.detection.expectation import Expectation, PixelMapping
+from swarmtrack.detection.expectation import PixelMapping
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.score import detector_score
 from swarmtrack.lab.score.detector_score import EMPTY, ScoredImage, by_centre, match
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 from swarmtrack.lab.world.rendering import Renderer
-from swarmtrack.messages import Array, Detections, Frame, Image, StampKind
+from swarmtrack.messages import Array, Frame, StampKind
 from swarmtrack.training.labelled_clips import (
     Clip,
     drone_clips,
@@ -45,6 +47,7 @@ from swarmtrack.training.labelled_images import DataError, LabelledFrame, held_o
 from swarmtrack.training.validation import LOWEST_SCORE, SURE_RECALL
 
 NAME = "detector"
+KEPT_UNSEEN = "`train --hold-out-negatives` kept unseen"
 TIMED = ((320, 256), (640, 480))  # px
 REPEATS, QUICK_REPEATS = 60, 10
 QUICK_EVERY = 16
@@ -67,14 +70,9 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
         look="whole",
         motion=args.motion,
     )
-    threshold = detector.own_threshold
-    sets = _look(
-        detector,
-        _frames(args, QUICK_EVERY if args.quick else args.every),
-        _clips(args.data),
-        [load_scenario(name) for name in args.scenario],
-        QUICK_EVERY if args.quick else args.every,
-    )
+    threshold, every = detector.own_threshold, QUICK_EVERY if args.quick else args.every
+    scenarios = [load_scenario(name) for name in args.scenario]
+    sets = _look(detector, _frames(args, every), _clips(args.data), scenarios, every)
     images = [look for looks in sets.images.values() for look in looks]
     clips = [look for looks in sets.clips.values() for look in looks]
     main = images if any(len(look.drones) for look in images) else clips
@@ -120,7 +118,7 @@ def _look(
     by_scene: dict[str, list[ScoredImage]] = {}
     with report.progress(NAME, len(frames) + len(clips) + len(scenarios)) as advance:
         for frame in frames:
-            seen = _detect(detector, frame.image)
+            seen = detected(detector, Frame(0.0, 0.0, 0, frame.image, StampKind.MEDIA))
             look = ScoredImage(seen, frame.drones, frame.distractors, frame.kinds)
             by_scene.setdefault(frame.scene, []).append(look)
             advance(frame.scene)
@@ -165,15 +163,6 @@ def _frames(args: argparse.Namespace, every: int) -> list[LabelledFrame]:
     return wanted
 
 
-def _detect(
-    detector: Detector, image: Image, t: float = 0.0, expectation: Expectation | None = None
-) -> Detections:
-    seen = detector.detect(detector.plan(Frame(t, 0.0, 0, image, StampKind.MEDIA), expectation))
-    if seen is None:
-        raise BenchmarkError(detector.status().text)
-    return seen
-
-
 class _StandsStill:
     """What a detector may expect of a camera that does, and tracks nothing."""
 
@@ -207,7 +196,8 @@ def look_at_flight(detector: Detector, scenario: Scenario, every: int) -> Iterat
         expectation = _TurnsKnown(scenario, observer)
         for frame in range(0, int(FLIGHT_S * scenario.fps), every):
             t = FLIGHT_FROM_S + frame / scenario.fps
-            found = _detect(detector, renderer.image(observer, t, frame), t, expectation)
+            picture = Frame(t, 0.0, 0, renderer.image(observer, t, frame), StampKind.MEDIA)
+            found = detected(detector, picture, expectation)
             # Truth is undistorted, detections are not.
             boxes = np.array(list(truth.view(observer, t).in_view.values())).reshape(-1, 4)
             boxes[:, :2] = camera.distort(boxes[:, :2])
@@ -219,10 +209,9 @@ def look_at_clip(detector: Detector, clip: Clip, every: int) -> Iterator[ScoredI
     truth = read_truth(clip.truth)
     for frame in frames(clip):
         if frame.sequence % every == 0:
-            seen, boxes = _detect(detector, frame.image, frame.t, _StandsStill()), truth.get(frame.sequence)
-            yield ScoredImage(
-                seen, EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
-            )
+            seen, boxes = detected(detector, frame, _StandsStill()), truth.get(frame.sequence)
+            drones = EMPTY if boxes is None else np.concatenate([boxes.centre, boxes.size], axis=1)
+            yield ScoredImage(seen, drones)
 
 
 # --- counting -----------------------------------------------------------------------------------------
@@ -239,12 +228,11 @@ def _summaries(sets: dict[str, list[ScoredImage]], threshold: float) -> dict[str
 def _fired(looks: Sequence[ScoredImage], thresholds: dict[str, float]) -> list[dict[str, Any]]:
     """For each kind of distractor the share of them that is taken for a drone, at each threshold."""
     counted = {name: detector_score.fired_on(looks, threshold) for name, threshold in thresholds.items()}
-    kinds = sorted({kind for fired in counted.values() for kind in fired})
-    rows = []
-    for kind in kinds:
-        row: dict[str, Any] = {"kind": kind, "count": counted["threshold"][kind][1]}
-        rows.append(row | {name: _share(fired[kind]) for name, fired in counted.items()})
-    return rows
+    return [
+        {"kind": kind, "count": counted["threshold"][kind][1]}
+        | {name: _share(fired[kind]) for name, fired in counted.items()}
+        for kind in sorted({kind for fired in counted.values() for kind in fired})
+    ]
 
 
 def _share(fired: tuple[int, int] | None) -> float | None:
@@ -258,17 +246,10 @@ def _times(model: str, second_stage: str, repeats: int) -> dict[str, dict[str, f
         detector = Detector(model, second_stage=second_stage, look="whole")
         image = np.random.default_rng(0).integers(0, 255, (height, width, 3)).astype(np.uint8)
         detector.warm_up(width, height)
-        spent = []
-        for _ in range(repeats):
-            begin = time.perf_counter()
-            detector.detect(detector.plan(Frame(0.0, 0.0, 0, image, StampKind.MEDIA)))
-            spent.append(1e3 * (time.perf_counter() - begin))
-        low, median, high = np.percentile(spent, [0, 50, 95])
-        times[f"{width}x{height}"] = {
-            "least": round(float(low), 2),
-            "p50": round(float(median), 2),
-            "p95": round(float(high), 2),
-        }
+        look = partial(detected, detector, Frame(0.0, 0.0, 0, image, StampKind.MEDIA))
+        spent = 1e3 * np.array(spent_s(look, repeats, time.perf_counter))
+        at = zip(("least", "p50", "p95"), np.percentile(spent, [0, 50, 95]).tolist(), strict=True)
+        times[f"{width}x{height}"] = {name: round(ms, 2) for name, ms in at}
     return times
 
 
@@ -289,6 +270,7 @@ SET_COLUMNS: report.Columns = (
 )
 SIZE_COLUMNS = (("px", "{low:g} … {high:g}"), ("drones", "{drones}"), ("recall", "{recall:.3f}"))
 TIME_COLUMNS = (("input", "{size}"), ("least", "{least:.2f}"), ("median", "{p50:.2f}"), ("p95", "{p95:.2f}"))
+ANYTHING = "it takes for a drone (anything: images without a drone)"
 # What nobody knows of a set without drones.
 OF_DRONES = (
     "centre_ap", "ap50", "recall_1fppi", "recall_01fppi", "recall", "centre_error_median_px", "centre_error_p90_px"
@@ -297,10 +279,8 @@ OF_DRONES = (
 
 def _page(result: dict[str, Any]) -> str:
     def sets(by: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
-        return [
-            entry | {"name": name} | ({} if entry["drones"] else dict.fromkeys(OF_DRONES))
-            for name, entry in by.items()
-        ]
+        unknown = dict.fromkeys(OF_DRONES)
+        return [{**one, "name": name, **({} if one["drones"] else unknown)} for name, one in by.items()]
 
     sure = result["threshold_of_090_recall"]
     distractor_columns = (
@@ -314,10 +294,7 @@ def _page(result: dict[str, Any]) -> str:
         "Images": (SET_COLUMNS, sets(result["by_scene"])),
         "Clips": (SET_COLUMNS, sets(result["by_clip"])),
         "By size of the label's longer side, px": (SIZE_COLUMNS, result["by_size"]),
-        "What else it takes for a drone (anything: images without a drone)": (
-            distractor_columns,
-            result["by_distractor"],
-        ),
+        f"What else {ANYTHING}": (distractor_columns, result["by_distractor"]),
         "Milliseconds a frame, one thread": (TIME_COLUMNS, times),
     }
     moved = "; clips with what moved" if result["motion"] else ""
@@ -344,10 +321,6 @@ BENCH = Benchmark(
         flag("--motion", "of clips count what moved; their camera must stand"),
         listed("--scenario", "also a flight of the simulation, rendered", "NAME"),
         path("--frames-of", "clips of which each N-th frame counts as an image, if held out"),
-        flag(
-            "--held-out-negatives",
-            "beside the scenes, the drone-free clips that `train --hold-out-negatives` kept unseen",
-        ),
+        flag("--held-out-negatives", f"beside the scenes, the drone-free clips that {KEPT_UNSEEN}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -47,11 +47,14 @@ def median_s(
     function: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter
 ) -> float:
     """Median duration of a call [s], the first ones not counted; clock: `time.process_time` for processor time."""
-    for _ in range(UNCOUNTED):
-        function()
+    return float(np.median(spent_s(function, repeats, clock)))
+
+
+def spent_s(function: Callable[[], object], repeats: int, clock: Callable[[], float]) -> list[float]:
+    """Duration of each call [s], the first ones not counted."""
     spent = []
-    for _ in range(repeats):
+    for _ in range(UNCOUNTED + repeats):
         began = clock()
         function()
         spent.append(clock() - began)
-    return float(np.median(spent))
+    return spent[UNCOUNTED:]

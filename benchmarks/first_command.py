@@ -1,10 +1,8 @@
-"""The command that a newcomer runs first, as often as one likes: what it says, how long it takes, and what it costs.
+"""The command that a newcomer runs first: its verdicts, its time, and what it costs (docs/swarm.md).
 
-Each run is a process of its own, `swarmtrack sim SCENARIO`, with a mark in its environment by which every process that
-it starts is found. CPU time is what the kernel counts of them, in flight (between the first and the last line with a
-world time) and from the start to the end. With `--busy N` other processes keep so many cores busy meanwhile. They are
-of the same session, as what is started from one terminal: to Linux, other sessions as a whole would get no more than
-this one.
+Each run is a process of its own, with a mark in its environment by which every process that it starts is found. CPU
+time is counted in flight (between the first and the last line with a world time) and from the start to the end. The
+processes of `--busy` are of the same session: to Linux, others as a whole would get no more than this one.
 """
 
 from __future__ import annotations
@@ -272,4 +270,3 @@ BENCH = Benchmark(
         option("--words", "more arguments of the command", nargs="+", default=[], metavar="WORD"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -1,8 +1,7 @@
-"""A member of the team that floods: what it costs another's event loop, and whether the others still get through.
+"""A member that floods: what it costs another's event loop, and whether the others still get through (docs/wire.md).
 
 Three processes on loopback: the one that is measured (this one), a friend that announces itself five times a second,
-and a member that sends ten thousand messages a second of one sort. All sign with Ed25519, and all signatures are
-checked. A task that wants to wake every 5 ms tells the lag of the loop.
+and a member that sends ten thousand messages a second of one sort. A task that wants to wake every 5 ms tells the lag.
 """
 
 from __future__ import annotations
@@ -338,7 +337,6 @@ BENCH = Benchmark(
     _measured,
     lambda result: report.page("# A member that floods", report.table_of(COLUMNS, result["floods"])),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run
 
 
 def main() -> None:

@@ -1,8 +1,7 @@
 """What the autopilot hears, and how far the drone flies on, when an engaged agent is stopped, killed, frozen or breaks.
 
-Real agents with real guards, each with a simulated ArduCopter that answers set points as a real one was measured to
-(`lab/world/response.py`), over UDP in real time. The law flies north at 2.5 m/s; then one thing happens. Also what a
-guard costs: its share of a core, its memory, and the time from a decision to its set point at the autopilot's socket.
+Real agents with real guards, each with a simulated ArduCopter (`lab/world/response.py`), over UDP in real time
+(docs/formation.md). Also what a guard costs: its share of a core, its memory, and its delay.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import signal
 import socket
 import tempfile
 import time
-from collections.abc import AsyncIterator, Callable, Iterable
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -169,25 +168,16 @@ def guard_of(agent: int) -> int:
     return guard
 
 
-async def _freeze(pid: int) -> None:
-    os.kill(pid, signal.SIGSTOP)
-    await asyncio.sleep(FROZEN_S)
-    os.kill(pid, signal.SIGCONT)
-
-
-async def _signal(pid: int, number: int) -> None:
-    os.kill(pid, number)
-
-
-CASES: dict[str, tuple[str, Callable[[int], Any]]] = {
-    "stopped": ("SIGTERM", lambda pid: _signal(pid, signal.SIGTERM)),
-    "killed": ("SIGKILL", lambda pid: _signal(pid, signal.SIGKILL)),
-    "frozen": ("SIGSTOP for 2 s", _freeze),
-    "raises": ("a task raises", lambda pid: _signal(pid, signal.SIGUSR1)),
-    "blocked": ("the event loop stands still for 2 s", lambda pid: _signal(pid, signal.SIGUSR2)),
-    "guard-frozen": ("SIGSTOP for 2 s to the guard", lambda pid: _freeze(guard_of(pid))),
-    "guard-killed": ("SIGKILL to the guard", lambda pid: _signal(guard_of(pid), signal.SIGKILL)),
+CASES = {
+    "stopped": ("SIGTERM", signal.SIGTERM),
+    "killed": ("SIGKILL", signal.SIGKILL),
+    "frozen": ("SIGSTOP for 2 s", signal.SIGSTOP),
+    "raises": ("a task raises", signal.SIGUSR1),
+    "blocked": ("the event loop stands still for 2 s", signal.SIGUSR2),
+    "guard-frozen": ("SIGSTOP for 2 s to the guard", signal.SIGSTOP),
+    "guard-killed": ("SIGKILL to the guard", signal.SIGKILL),
 }
+"""In words, and the signal, to the agent or to its guard."""
 
 
 class Flight(NamedTuple):
@@ -241,9 +231,12 @@ async def _happen(case: str, sky: Sky, agent: int) -> Flight:
     await asyncio.sleep(STEADY_S + 0.1 * np.random.default_rng(len(sky.messages)).random())
     event = time.monotonic()
     where = sky.north(event)
-    happening = asyncio.create_task(CASES[case][1](agent))
-    await asyncio.sleep(AFTER_S)
-    await happening
+    pid, number = guard_of(agent) if case.startswith("guard") else agent, CASES[case][1]
+    os.kill(pid, number)
+    if number == signal.SIGSTOP:
+        await asyncio.sleep(FROZEN_S)
+        os.kill(pid, signal.SIGCONT)
+    await asyncio.sleep(max(event + AFTER_S - time.monotonic(), 0.0))
     after = [heard for heard in sky.messages if heard.t > event]
     zeros = [heard.t - event for heard in after if heard.speed == 0.0]
     late = [heard.speed for heard in after if heard.t > event + ZERO_WITHIN_S]
@@ -420,4 +413,3 @@ BENCH = Benchmark(
     options=(amount("--runs", 20, 1, "flights of each case"), some_of("--cases", CASES)),
     record=_record,
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -2,9 +2,8 @@
 
     BENCH = Benchmark("flood", measured, page, options=(…,))
     BENCH = Flights(name="silent", title=…, about=…, seeds=…, rows=…, columns=…)
-    add_arguments, run = BENCH.add_arguments, BENCH.run
 
-The last line is what `swarmtrack bench` looks for; `BENCH.publish(out, seeds=1)` does the same from Python.
+`BENCH` is what `swarmtrack bench` looks for in a module; `BENCH.publish(out, seeds=1)` does the same from Python.
 """
 
 from __future__ import annotations
@@ -110,6 +109,11 @@ def scenarios(usual: Sequence[str]) -> Option:
     """Which are flown, one after the other: any."""
     words = f"shipped ones, or files (default: {' '.join(usual)})"
     return option("--scenarios", words, nargs="+", default=list(usual), metavar="NAME")
+
+
+def several(name: str, help: str, usual: Sequence[float], **keywords: Any) -> Option:
+    """Numbers, at least one."""
+    return option(name, help, nargs="+", default=list(usual), **{"type": count, "metavar": "N", **keywords})
 
 
 def some_of(name: str, choices: Iterable[str]) -> Option:

@@ -275,7 +275,6 @@ def _page(result: dict[str, Any]) -> str:
 
 
 BENCH = Benchmark(NAME, _measured, _page)
-add_arguments, run = BENCH.add_arguments, BENCH.run
 
 
 def main() -> None:

@@ -80,20 +80,14 @@ def rows() -> list[Row]:
     """All of them, first the one in which nothing is wrong."""
     everybody = tuple(range(1, DRONES + 1))
     who = {"one": (VICTIM,), "all": everybody}
-    compass = (
-        Row(f"compass, {words} {deg:g}°", of, compass=math.radians(deg))
-        for words, of in who.items()
-        for deg in COMPASS_DEG
-    )
-    mounting = (Row(f"mounting, one {deg:g}°", (VICTIM,), mounting=math.radians(deg)) for deg in MOUNTING_DEG)
-    start = (Row(f"start, {words} {m:g} m", of, start_m=m) for words, of in who.items() for m in START_M)
+    rad = math.radians
     return [
         Row("nothing"),
         Row("pads, two swapped", (1, 2), pads={1: 2, 2: 1}),
         Row("pads, moved on by one", everybody, pads={d: d % DRONES + 1 for d in everybody}),
-        *compass,
-        *mounting,
-        *start,
+        *(Row(f"compass, {n} {d:g}°", of, compass=rad(d)) for n, of in who.items() for d in COMPASS_DEG),
+        *(Row(f"mounting, one {d:g}°", (VICTIM,), mounting=rad(d)) for d in MOUNTING_DEG),
+        *(Row(f"start, {n} {m:g} m", of, start_m=m) for n, of in who.items() for m in START_M),
         *two_at_once(),
     ]
 
@@ -210,19 +204,14 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
 def _rows(args: argparse.Namespace) -> list[harness.Row]:
     if args.plot:
         report.pyplot()
+
+    def made(scenario: str, row: Row) -> harness.Row:
+        one = partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share, draws=args.plot)
+        place = ("scenarios", scenario, row.name)
+        return harness.Row(f"{scenario}: {row.name}", one, summary, {"name": row.name}, place, scenario)
+
     chosen = [row for row in rows() if not args.rows or any(word in row.name for word in args.rows)]
-    return [
-        harness.Row(
-            f"{scenario}: {row.name}",
-            partial(fly, row, scenario, args.sigma, args.tracker, share_hz=args.share, draws=args.plot),
-            summary,
-            {"name": row.name},
-            place=("scenarios", scenario, row.name),
-            group=scenario,
-        )
-        for scenario in args.scenarios
-        for row in chosen
-    ]
+    return [made(scenario, row) for scenario in args.scenarios for row in chosen]
 
 
 def _about(result: dict[str, Any]) -> str:
@@ -259,14 +248,12 @@ RELIABILITY = (
 
 
 def _plot(args: argparse.Namespace, flights: dict[str, list[Flight]]) -> None:
+    size, shared = (
+        (2.6 * DRONES, 2.0 * len(flights) + 0.8),
+        {"sharex": True, "sharey": True, "squeeze": False},
+    )
     figure, axes = report.pyplot().subplots(
-        len(flights),
-        DRONES,
-        figsize=(2.6 * DRONES, 2.0 * len(flights) + 0.8),
-        layout="constrained",
-        sharex=True,
-        sharey=True,
-        squeeze=False,
+        len(flights), DRONES, figsize=size, layout="constrained", **shared
     )
     for line, (name, (first, *_)) in zip(axes, flights.items(), strict=True):
         for axis, (drone, faults) in zip(line, sorted(first.faults.items()), strict=False):
@@ -279,9 +266,8 @@ def _plot(args: argparse.Namespace, flights: dict[str, list[Flight]]) -> None:
         axis.set_xlabel("t, s")
     for line in axes:
         line[0].set_ylabel("probability")
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(), loc="outside lower center", ncols=len(FAULT_COLOURS)
-    )
+    labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside lower center", ncols=len(FAULT_COLOURS))
     report.save(figure, args.out / "misconfigured.png")
 
 
@@ -326,4 +312,3 @@ BENCH = Flights(
         ("of 0.95 … 0.99 right, %", "{sure_right:.1p}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -1,9 +1,7 @@
-"""What the monitor costs those who are watched, and whether its page keeps up with thirty drones.
+"""What the monitor costs those who are watched, and whether its page keeps up with thirty drones (docs/monitor.md).
 
-`swarmtrack bench cost --of monitor`. Of the drones: the scripted agent of `agent_budget.py` at 20 Hz of frames, its CPU
-unwatched and watched in turns, so that what else the machine does meets both alike. Of the page: thirty scripted drones
-over real Zenoh, a headless Chromium, and how many states and pictures it drew, and how often requestAnimationFrame came
-round.
+Of the drones: the scripted agent at 20 Hz of frames, unwatched and watched in turns, so that what else the machine does
+meets both alike. Of the page: thirty scripted drones over real Zenoh, and a headless Chromium.
 """
 
 from __future__ import annotations
@@ -15,7 +13,7 @@ import secrets
 import shutil
 import time
 from contextlib import asynccontextmanager
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -48,27 +46,14 @@ MEASURE_RAF = """seconds => new Promise(done => {
 })"""
 
 
-class Watched(NamedTuple):
-    """CPU in % of a core, of each turn; pictures: a second, and their mean size."""
-
-    unwatched: list[float]
-    watched: list[float]
-    pictures_hz: float
-    kilobytes: float
-
-
-async def measure_agent(seconds: float) -> Watched:
+async def measure_agent(seconds: float) -> list[Figure]:
     """Of an agent that nobody, then somebody looks at; `seconds` a turn."""
     sizes: list[int] = []
     shares: dict[bool, list[float]] = {False: [], True: []}
     async with scripted_agent(["--fps", str(FPS)]) as agent:
         pid, video = agent.process.pid, keys.key(agent.team, Kind.VIDEO, 1)
-        viewer = ZenohListener(
-            NetworkSettings(team=agent.team),
-            keys.key(agent.team, Kind.POSE, "*"),
-            SystemClock(),
-            newest_per_key=True,
-        )
+        network, poses = NetworkSettings(team=agent.team), keys.key(agent.team, Kind.POSE, "*")
+        viewer = ZenohListener(network, poses, SystemClock(), newest_per_key=True)
         await viewer.open()
 
         async def look() -> None:
@@ -93,7 +78,12 @@ async def measure_agent(seconds: float) -> Watched:
     if not sizes:
         raise BenchmarkError("monitor: no picture was heard of a watched agent")
     rate = len(sizes) / (TURNS * (seconds + 0.5))
-    return Watched(shares[False], shares[True], rate, float(np.mean(sizes)) / 1e3)
+    return [
+        Figure("agent unwatched, CPU, median of turns", float(np.median(shares[False])), "% of a core"),
+        Figure("agent watched, CPU, median of turns", float(np.median(shares[True])), "% of a core"),
+        Figure("pictures of a watched agent", rate, "Hz"),
+        Figure("their size (of noise, the worst there is)", float(np.mean(sizes)) / 1e3, "kB"),
+    ]
 
 
 def picture_ms(image: np.ndarray[Any, np.dtype[np.uint8]], times: int = 100) -> tuple[float, float]:
@@ -135,9 +125,8 @@ async def measure_page(seconds: float) -> tuple[float, float, float, float]:
         found = re.search(r"http\S+", (await process.stdout.readline()).decode())
         assert found is not None, "the monitor prints its address"
         async with _page(found[0]) as page:
-            await page.wait_for_function(
-                "n => document.querySelectorAll('#matrix .seen').length > n", arg=DRONES
-            )
+            seen = "n => document.querySelectorAll('#matrix .seen').length > n"
+            await page.wait_for_function(seen, arg=DRONES)
             # Down to the matrix: there the pictures are out of sight, and nobody sends any.
             await page.evaluate("document.querySelector('#low').scrollIntoView()")
             await asyncio.sleep(2.0)
@@ -157,10 +146,7 @@ def measured(args: argparse.Namespace) -> list[Figure]:
     frames, states, pictures, share = asyncio.run(measure_page(2.0 * seconds))
     (noise_ms, _), (scene_ms, scene_kb) = picture_ms(noise), picture_ms(scene)
     return [
-        Figure("agent unwatched, CPU, median of turns", float(np.median(watched.unwatched)), "% of a core"),
-        Figure("agent watched, CPU, median of turns", float(np.median(watched.watched)), "% of a core"),
-        Figure("pictures of a watched agent", watched.pictures_hz, "Hz"),
-        Figure("their size (of noise, the worst there is)", watched.kilobytes, "kB"),
+        *watched,
         Figure("one picture of noise, CPU in its thread", noise_ms, "ms"),
         Figure("one picture of a scene, CPU in its thread", scene_ms, "ms"),
         Figure("its size", scene_kb, "kB"),

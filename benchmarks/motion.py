@@ -1,9 +1,8 @@
-"""Who is who by how they move alone: nobody says where it started, and any track may be a stranger.
+"""Who is who by how they move alone: nobody says where it started, and any track may be a stranger (docs/swarm.md).
 
-An observer that hovers sees N drones 5 to 20 m away, 7 times a second, nine times in ten, to 1.5 px. Its attitude is
-off by 12 mrad, for some 15 s in the same way. Each drone tells 5 times a second how it moved, to 2 cm. Its clock is off
-by 30 ms, and boxes tell distances to 30 %. The posterior is the agent's (`team/identities.py`), without its tracker: a
-track is a drone. Names are those that an agent would publish.
+The observer hovers. Its attitude is off by 12 mrad, for some 15 s in the same way; clocks are off by 30 ms, and boxes
+tell distances to 30 %. The posterior is the agent's (`team/identities.py`), without its tracker: a track is a drone.
+Names are those that an agent would publish.
 
 A lie is found out where the liar's track is called a stranger, or by its right name. It is said already where the track
 has any other name than the one that the drone claims; a drone that did not lie and whose track has another name is
@@ -16,15 +15,13 @@ import argparse
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.arguments import count
 from swarmtrack.benchmarks import harness
-from swarmtrack.benchmarks.harness import Flights, option, quantile, seeds
+from swarmtrack.benchmarks.harness import Flights, quantile, seeds, several
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
@@ -48,8 +45,7 @@ CLOCK_S = 0.03
 STRANGER = -1
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(NamedTuple):
     """How a team moves. sway [m]: RMS per axis of a hover, None: it flies at 1 m/s; lie: drone 0 tells another motion
     ("spoof"), or 0 and 1 each other's ("swap"); clock [s]: by how much clocks are off, either way; say_s: between two
     words of a drone."""
@@ -131,9 +127,8 @@ class _Scene:
         self.told = self._told(row)
         self._own = wander(rng, 1, 0.15, 1.5).place[0]
         bearing, height = rng.uniform(-0.45, 0.45, n), rng.uniform(-0.2, 0.2, n)
-        ray = np.stack(
-            [np.cos(height) * np.cos(bearing), np.cos(height) * np.sin(bearing), np.sin(height)], axis=1
-        )
+        north, east = np.cos(height) * np.cos(bearing), np.cos(height) * np.sin(bearing)
+        ray = np.stack([north, east, np.sin(height)], axis=1)
         self._start = rng.uniform(5.0, 20.0, n)[:, None] * ray
         self._size = SPAN_M * np.exp(SPAN_SIGMA * rng.standard_normal(n)) * CAMERA.fx
         self._attitude = ATTITUDE_SIGMA * rng.standard_normal(2)
@@ -161,16 +156,14 @@ class _Scene:
                 step = min(round(said / STEP_S), self.told.place.shape[1] - 1)
                 place = self.told.place[drone, step] + SAID_M * self.rng.standard_normal(3)
                 speed = self.told.speed[drone, step] + SAID_M_S * self.rng.standard_normal(3)
-                t_said = step * STEP_S + self._late[drone]
-                found.hear(drone, t_said, place, speed)
+                found.hear(drone, step * STEP_S + self._late[drone], place, speed)
 
     def scan(self, k: int) -> tuple[list[Track], ObserverCamera]:
         """Of scan k: the tracks, by drone, and the camera as the observer believes that it is."""
         rng, t = self.rng, k * SCAN_S
         kept = math.exp(-SCAN_S / ATTITUDE_S)
-        self._attitude = kept * self._attitude + ATTITUDE_SIGMA * math.sqrt(
-            1.0 - kept**2
-        ) * rng.standard_normal(2)
+        new = ATTITUDE_SIGMA * math.sqrt(1.0 - kept**2) * rng.standard_normal(2)
+        self._attitude = kept * self._attitude + new
         turned = rotation.exp(np.array([0.0, *self._attitude]))
         sure = 1e-4 * np.eye(3)
         view = ObserverCamera.of(TeamPose(t, self._own[4 * k], np.eye(3), sure, sure), CAMERA, MOUNT)
@@ -180,18 +173,9 @@ class _Scene:
         side = self._size / np.linalg.norm(away, axis=1)
         cov = CENTRE_SIGMA_PX**2 * np.eye(4)
         seen = np.flatnonzero(rng.random(self.n) < P_DETECTION).tolist()
-        return [
-            Track(
-                m,
-                t,
-                np.array([pixel[m, 0], 0.0, pixel[m, 1], 0.0]),
-                cov,
-                TrackStatus.CONFIRMED,
-                1.0,
-                np.full(2, side[m]),
-            )
-            for m in seen
-        ], view
+        mean = np.column_stack([pixel[:, 0], np.zeros(self.n), pixel[:, 1], np.zeros(self.n)])
+        stage = TrackStatus.CONFIRMED
+        return [Track(m, t, mean[m], cov, stage, 1.0, np.full(2, side[m])) for m in seen], view
 
 
 class _Observer:
@@ -202,15 +186,13 @@ class _Observer:
         self._identities = Identities(n + 1, cameras=[(CAMERA, MOUNT)], parameters=IdentityParameters())
         for drone in range(n):
             cov = SOMEWHERE_M**2 * np.eye(3)
-            self._identities.announce(
-                Announcement(drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), cov)
-            )
+            start = Announcement(drone + 1, "boot", 1, 0.0, 0.0, np.zeros(3), np.eye(3), cov)
+            self._identities.announce(start)
 
     def hear(self, drone: int, t: float, displacement: Array, velocity: Array) -> None:
         cov, cov_velocity = SAID_M**2 * np.eye(3), SAID_M_S**2 * np.eye(3)
-        self._identities.on_motion(
-            MotionReport(drone + 1, "boot", 1, t, CLOCK_S, displacement, cov, velocity, cov_velocity)
-        )
+        report = MotionReport(drone + 1, "boot", 1, t, CLOCK_S, displacement, cov, velocity, cov_velocity)
+        self._identities.on_motion(report)
 
     def observe(self, tracks: list[Track], view: ObserverCamera) -> None:
         t = view.observer.t
@@ -291,17 +273,11 @@ def summarise(row: Row, n: int, trials: Sequence[Trial]) -> dict[str, Any]:
 
 
 def _rows(args: argparse.Namespace) -> list[harness.Row]:
-    return [
-        harness.Row(
-            row.name,
-            partial(trial, row, n),
-            partial(summarise, row, n),
-            {"row": row.name, "drones": n, "flights": args.seeds},
-        )
-        for row in ROWS
-        for n in args.teams
-        if not row.lie or n > 1
-    ]
+    def made(row: Row, n: int) -> harness.Row:
+        facts = {"row": row.name, "drones": n, "flights": args.seeds}
+        return harness.Row(row.name, partial(trial, row, n), partial(summarise, row, n), facts)
+
+    return [made(row, n) for row in ROWS for n in args.teams if not row.lie or n > 1]
 
 
 BENCH = Flights(
@@ -310,16 +286,7 @@ BENCH = Flights(
     about="",
     seeds=seeds(60, quick=2),
     seeds_from=0,
-    options=(
-        option(
-            "--teams",
-            "drones in view (default: %(default)s)",
-            type=count,
-            nargs="+",
-            default=list(TEAMS),
-            metavar="N",
-        ),
-    ),
+    options=(several("--teams", "drones in view (default: %(default)s)", TEAMS),),
     rows=_rows,
     facts=lambda args: {"seconds": SECONDS},
     columns=(
@@ -338,4 +305,3 @@ BENCH = Flights(
         ("CPU per scan, ms", "{scan_ms:.2f}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -292,4 +292,3 @@ BENCH = Benchmark(
         option("--fps", "of that clip (default: %(default)g)", type=positive, default=30.0, metavar="F"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

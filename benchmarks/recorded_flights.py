@@ -1,9 +1,7 @@
 """What a recording is worth: how much a killed agent loses of it, and how fast it is flown again, bit for bit.
 
-A real agent with a played autopilot and a scripted camera is ended by SIGKILL at moments chosen by chance; lost is what
-lies between that moment and the last record that can be read. Then `swarmtrack sim` records a minute of three drones,
-and `swarmtrack replay` flies it again: one drone alone, all three, and all with their verdict. Times are those of the
-whole command, from its start to its end.
+Lost is what lies between SIGKILL and the last record that can be read. Times of replays are those of the whole command,
+from its start to its end (docs/recording.md).
 """
 
 from __future__ import annotations
@@ -146,4 +144,3 @@ def _page(result: dict[str, Any]) -> str:
 
 
 BENCH = Benchmark(NAME, _measured, _page)
-add_arguments, run = BENCH.add_arguments, BENCH.run

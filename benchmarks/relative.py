@@ -1,15 +1,11 @@
-"""How well one plain camera knows where its teammates are, in metres, and whether it knows how well.
+"""How well one plain camera knows where its teammates are, in metres, and whether it knows how well (docs/metres.md).
 
-Teammates wander around an observer that hovers or circles, at a given range at first. What the camera sees, and what
-teammates may say beside it, has the errors that were measured on real frames. Truth is simulated here, apart from the
-filter; the bound is the posterior Cramér-Rao bound along the true flight.
+Teammates wander around an observer that hovers or circles, at a given range at first. Sensors have the errors that were
+measured on real frames. The bound is the posterior Cramér-Rao bound along the true flight, by rays and sizes.
 
-* range error: rms of ln(range / truth) in the second half of a flight.
-* NEES / 6: squared error of position and velocity over the stated covariance; 1 is honest, with its 95 % interval over
-  flights.
+* range error: rms of ln(range / truth) in the second half of a flight; NEES / 6: with its 95 % interval over flights.
 * bound: of whoever knows by how much teammates' velocities wander: how fast they turn in the image is then a distance.
-  The filter learns how fast they fly and does not know it. The second bound is that of whoever does not, either: it
-  believes in velocities `UNKNOWN_SPEED` times as large.
+  The second bound believes in velocities `UNKNOWN_SPEED` times as large; the filter learns how fast they fly.
 * to 10 %: s until the median error of the place is below a tenth of the range, and stays there.
 """
 
@@ -24,7 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.arguments import count, positive
-from swarmtrack.benchmarks.harness import PROCESSES, Flights, Row, option, seeds
+from swarmtrack.benchmarks.harness import PROCESSES, Flights, Row, option, seeds, several
 from swarmtrack.geometry import rotation
 from swarmtrack.lab.score.intervals import mean_interval
 from swarmtrack.messages import Announcement, Array, MotionReport, RangeReport, SightingReport
@@ -98,17 +94,16 @@ class Truth(NamedTuple):
 
 class Judged(NamedTuple):
     """One flight: at each scan of each teammate, (k, n): squared error of place and velocity [m², m²/s²], of
-    ln(range), NEES of six, and the bounds of the squared error of place, with speeds known and not known; NaN where
-    nothing was stated."""
+    ln(range), NEES of six, the error of the place as a share of the range, and the bounds of the squared error of
+    place, with speeds known and not known; NaN where nothing was stated."""
 
     place2: Array
     speed2: Array
     log_range2: Array
     nees: Array
+    share: Array
     bound2: Array
     unknown2: Array
-    share: Array
-    """Of the range: the error of the place."""
 
 
 def speed_sigma(range_m: float) -> float:
@@ -130,10 +125,10 @@ def wandering(range_m: float, mode: Mode, rng: np.random.Generator) -> Truth:
     speeds: list[Array] = []
     while len(places) < TEAMMATES:
         place, speed = _one_flight(range_m, steps * fine, DT / fine, rng)
-        place, speed = place[::fine] + eye[0], speed[::fine]
+        place = place[::fine] + eye[0]
         if np.linalg.norm(place - eye, axis=1).min() > NEAREST_M:
             places.append(place)
-            speeds.append(speed)
+            speeds.append(speed[::fine])
     return Truth(eye, eye_speed, np.stack(places, axis=1), np.stack(speeds, axis=1))
 
 
@@ -155,11 +150,10 @@ def _one_flight(range_m: float, steps: int, h: float, rng: np.random.Generator) 
 def parameters(range_m: float, mode: Mode) -> RelativeParameters:
     """The filter is told what the simulation does."""
     lasting, wander, white = mode.size
+    errors = {"drone_sigma": lasting, "wander_sigma": wander, "wander_s": 1.0, "white_sigma": white}
     return RelativeParameters(
         airframe_span_m=SPAN_M,
-        box_width=BoxWidth(
-            factor=1.0, drone_sigma=lasting, wander_sigma=wander, wander_s=1.0, white_sigma=white
-        ),
+        box_width=BoxWidth(factor=1.0, **errors),
         speed_sigma=speed_sigma(range_m),
         fellows=0.0,
         forget_s=WANDER_S,
@@ -188,9 +182,7 @@ def fly(range_m: float, mode: Mode, seed: int, told: RelativeParameters | None =
         senses.deliver_reports(k, states)
         own = OwnMotion(look.camera, look.velocity, np.zeros((3, 3)), mode.attitude**2 * np.eye(3))
         rows.append([*_judged(states, look.t, own, truth, k), bound.step(k), unknown.step(k)])
-    columns = (np.array(column) for column in zip(*rows, strict=True))
-    place2, speed2, log2, nees, share, bound2, unknown2 = columns
-    return Judged(place2, speed2, log2, nees, bound2, unknown2, share)
+    return Judged(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
 def _judged(states: RelativeStates, t: float, own: OwnMotion, truth: Truth, k: int) -> list[Array]:
@@ -207,6 +199,11 @@ def _judged(states: RelativeStates, t: float, own: OwnMotion, truth: Truth, k: i
     return list(out)
 
 
+def _next(of: Array, sigma: float, left: float, rng: np.random.Generator) -> Array:
+    """A Gauss-Markov process one scan later, of which so much is left."""
+    return left * of + sigma * math.sqrt(1.0 - left**2) * rng.standard_normal(of.shape)
+
+
 class _Senses:
     """What the camera, and what the teammates say, of a flight."""
 
@@ -217,29 +214,22 @@ class _Senses:
         self._wandering = wander * rng.standard_normal(TEAMMATES)
         self._attitude = mode.attitude * rng.standard_normal(3)
         self._walk = np.zeros(3)
-        self._turn = rotation.exp(
-            np.column_stack([np.zeros((TEAMMATES, 2)), mode.apart * rng.standard_normal(TEAMMATES)])
-        )
+        about = np.column_stack([np.zeros((TEAMMATES, 2)), mode.apart * rng.standard_normal(TEAMMATES)])
+        self._turn = rotation.exp(about)
         self._off = FRAMES_APART_M * rng.standard_normal((TEAMMATES, 3))
 
     def scan(self, k: int) -> TeamLook:
         """Of scan k."""
         truth, mode, rng = self._truth, self._mode, self._rng
         _, wander, white = mode.size
-        left = math.exp(-DT)
-        self._wandering = left * self._wandering + wander * math.sqrt(1.0 - left**2) * rng.standard_normal(
-            TEAMMATES
-        )
+        self._wandering = _next(self._wandering, wander, math.exp(-DT), rng)
         away = truth.place[k] - truth.eye[k]
         rho = np.linalg.norm(away, axis=1)
         d = away / rho[:, None]
         ray = d + (across(d) @ (RAY_SIGMA * rng.standard_normal((TEAMMATES, 2, 1))))[:, :, 0]
         ray = ray @ rotation.exp(self._attitude).T
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        left = math.exp(-DT / 15.0)
-        self._attitude = left * self._attitude + mode.attitude * math.sqrt(
-            1.0 - left**2
-        ) * rng.standard_normal(3)
+        self._attitude = _next(self._attitude, mode.attitude, math.exp(-DT / 15.0), rng)
         size = self._lasting + self._wandering + white * rng.standard_normal(TEAMMATES)
         if k:
             self._walk = self._walk + ODOMETRY * math.sqrt(DT) * rng.standard_normal(3)
@@ -267,10 +257,8 @@ class _Senses:
             if mode.velocity_every and k % mode.velocity_every == 0 and k >= mode.late:
                 then = k - mode.late
                 said = self._turn[n] @ (truth.speed[then, n] + SAID_SPEED_SIGMA * rng.standard_normal(3))
-                cov = SAID_SPEED_SIGMA**2 * np.eye(3)
-                states.hear_motion(
-                    MotionReport(n + 2, "00000000", k, then * DT, 0.0, np.zeros(3), cov, said, cov)
-                )
+                cov, t = SAID_SPEED_SIGMA**2 * np.eye(3), then * DT
+                states.hear_motion(MotionReport(n + 2, "00000000", k, t, 0.0, np.zeros(3), cov, said, cov))
             if mode.uwb_every and k % mode.uwb_every == 0:
                 rho = float(np.linalg.norm(truth.place[k, n] - truth.eye[k]))
                 distance = max(rho + UWB_SIGMA * rng.standard_normal(), 0.01)
@@ -340,37 +328,29 @@ def summary(flights: Sequence[Judged]) -> dict[str, Any]:
     share = np.nanmedian(np.concatenate([flight.share for flight in flights], axis=1), axis=1)
     far = np.flatnonzero(~(share < 0.1))
     settled = 0.0 if not len(far) else (float(far[-1]) + 1.0) * DT
-    rmse = _rms([flight.place2[half] for flight in flights])
-    bound, unknown = (
-        _rms([of[half] for of in bounds])
-        for bounds in ([flight.bound2 for flight in flights], [flight.unknown2 for flight in flights])
-    )
+
+    def rms(squares: str) -> float:
+        found = np.concatenate([getattr(flight, squares)[half] for flight in flights])
+        return math.sqrt(float(np.nanmean(found)))
+
     return {
-        "rmse_m": rmse,
-        "bound_m": bound,
-        "bound_speeds_unknown_m": unknown,
-        "velocity_rmse_m_s": _rms([flight.speed2[half] for flight in flights]),
-        "range_error": _rms([flight.log_range2[half] for flight in flights]),
+        "rmse_m": rms("place2"),
+        "bound_m": rms("bound2"),
+        "bound_speeds_unknown_m": rms("unknown2"),
+        "velocity_rmse_m_s": rms("speed2"),
+        "range_error": rms("log_range2"),
         "nees6": mean_interval(nees)._asdict(),
         "to_10_percent_s": settled if settled < SECONDS - 1.0 else math.inf,
         "unstated": float(np.mean([np.isnan(flight.nees).mean() for flight in flights])),
     }
 
 
-def _rms(squares: Sequence[Array]) -> float:
-    return math.sqrt(float(np.nanmean(np.concatenate(squares))))
-
-
 def _rows(args: argparse.Namespace) -> list[Row]:
+    modes = [MODES[i - 1] for i in args.only or range(1, len(MODES) + 1)]
     return [
-        Row(
-            f"{mode.words}, {range_m:g} m",
-            partial(fly, range_m, mode),
-            summary,
-            {"mode": mode.words, "range_m": range_m},
-        )
-        for mode in (MODES[i - 1] for i in args.only or range(1, len(MODES) + 1))
-        for range_m in args.ranges
+        Row(f"{mode.words}, {m:g} m", partial(fly, m, mode), summary, {"mode": mode.words, "range_m": m})
+        for mode in modes
+        for m in args.ranges
     ]
 
 
@@ -381,14 +361,7 @@ BENCH = Flights(
     "The bounds are those of rays and sizes alone, with the speeds of teammates known, and not.",
     seeds=seeds(100, quick=10),
     options=(
-        option(
-            "--ranges",
-            "at first, m (default: 3 10 40)",
-            type=positive,
-            nargs="+",
-            default=RANGES_M,
-            metavar="M",
-        ),
+        several("--ranges", "at first, m (default: 3 10 40)", RANGES_M, type=positive, metavar="M"),
         option("--only", "these kinds of flights, counted from 1", type=count, nargs="+", metavar="ROW"),
         PROCESSES,
     ),
@@ -406,4 +379,3 @@ BENCH = Flights(
         ("to 10 %, s", "{to_10_percent_s:.1f}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -90,10 +90,8 @@ def fly(kind: Kind, seed: int) -> list[Compared]:
     for scan in swarm.fly(SECONDS[kind.scenario]):
         states = [entry.relative for entry in scan.tracks.tracks if entry.relative is not None]
         if scan.t >= BEGIN_S:
-            truth = partial(
-                true_state, scenario.world, scan.observer, scenario.body_from_camera, scan.exposed_t
-            )
-            found += [compared(state, truth(state.drone_id)) for state in states]
+            seen = scenario.world, scan.observer, scenario.body_from_camera, scan.exposed_t
+            found += [compared(state, true_state(*seen, state.drone_id)) for state in states]
     return found
 
 
@@ -105,11 +103,9 @@ def as_stated(world: World, drone_id: int) -> Mistake:
     tilt = _beside(RelativeParameters().tilt_sigma, flown.attitude_sigma)
     place = _beside(EgoPose(0.0, None, np.eye(3)).position_sigma, flown.position_sigma)
     compass, *others = world.chance("errors as stated", drone_id).standard_normal(6).tolist()
-    return Mistake(
-        compass=heading * compass,
-        tilt=(tilt * others[0], tilt * others[1]),
-        place_m=(place * others[2], place * others[3], place * others[4]),
-    )
+    north, east, *off = others
+    x, y, z = (place * each for each in off)
+    return Mistake(compass=heading * compass, tilt=(tilt * north, tilt * east), place_m=(x, y, z))
 
 
 def _beside(stated: float, flown: float) -> float:
@@ -155,16 +151,10 @@ def summary(flights: Sequence[Sequence[Compared]]) -> dict[str, Any]:
 
 
 def _rows(args: argparse.Namespace) -> list[Row]:
-    return [
-        Row(
-            f"{kind.scenario}, {kind.words}",
-            partial(fly, kind),
-            summary,
-            {"scenario": kind.scenario, "known": kind.words},
-        )
-        for kind in KINDS
-        if kind.scenario in args.scenarios
-    ]
+    kinds = [kind for kind in KINDS if kind.scenario in args.scenarios]
+    facts = [{"scenario": kind.scenario, "known": kind.words} for kind in kinds]
+    words = [f"{kind.scenario}, {kind.words}" for kind in kinds]
+    return [Row(w, partial(fly, kind), summary, f) for w, kind, f in zip(words, kinds, facts, strict=True)]
 
 
 BENCH = Flights(
@@ -187,8 +177,7 @@ BENCH = Flights(
         ("mean", "{nees6[mean]:.2f}"),
         (
             "of place along, across, velocity along, across",
-            "{nees_parts[0]:.2f} {nees_parts[1]:.2f} {nees_parts[2]:.2f} {nees_parts[3]:.2f}",
+            " ".join(f"{{nees_parts[{k}]:.2f}}" for k in range(4)),
         ),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.clip_frames import detected
 from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import DetectorSection
@@ -26,10 +26,6 @@ def rendered_eyes(scenario: Scenario, section: DetectorSection = USUAL_SECTION) 
     def eyes(seen: Exposure) -> Detections:
         image = renderers[seen.camera].image(seen.drone_id, seen.t, seen.sequence)
         frame = Frame(seen.stamp, 0.0, seen.sequence, image, StampKind.EXPOSURE, camera=seen.camera)
-        detector = detectors[seen.drone_id]
-        found = detector.detect(detector.plan(frame, PerceivedExpectation(seen.perceived, seen.camera)))
-        if found is None:
-            raise BenchmarkError(detector.status().text)
-        return found
+        return detected(detectors[seen.drone_id], frame, PerceivedExpectation(seen.perceived, seen.camera))
 
     return eyes

@@ -1,14 +1,11 @@
-"""What an agent takes for a drone among houses, poles and trees: drawn flights, whose cameras fly and turn.
+"""What an agent takes for a drone among houses, poles and trees, in drawn flights (docs/detector.md).
 
-Every drone of a scenario looks at drawn pictures with the detector of an agent, tracks, and names its teammates. The
-confirmed tracks are set beside the truth ten times a second, as `swarmtrack sim` does. Nothing moves in these worlds
-but drones. So a track in the picture that is on none of them, seen or hidden, is on something that stands still.
+Nothing moves in these worlds but drones. So a confirmed track in the picture that is on none of them, seen or hidden,
+is on something that stands still.
 
 * standing: such tracks, by how long they were confirmed. scenery.png shows what the longest of them were on.
 * recall, precision: of (observer, drone in view, tenth of a second) those with a confirmed track; of all confirmed
-  tracks in the picture, those on a drone.
-* RMSE: of each flight the worst observer's, px; median and worst of all flights.
-* identified: the time that it took, as in `lab/score/swarm_score.py`, median and slowest of all observers.
+  tracks in the picture, those on a drone. RMSE: of each flight the worst observer's, px.
 """
 
 from __future__ import annotations
@@ -109,10 +106,10 @@ class Watch:
 def _on_a_drone(track: NamedTrack, glance: Glance) -> bool:
     for drone_id in (*glance.in_view, *glance.hidden):
         box = glance.box(drone_id, track.camera)
-        if box is not None and np.hypot(track.u - box[0], track.v - box[1]) < max(
-            MIN_SWARM_HIT_RADIUS_PX, 0.5 * box[2:].max()
-        ):
-            return True
+        if box is not None:
+            radius = max(MIN_SWARM_HIT_RADIUS_PX, 0.5 * box[2:].max())
+            if np.hypot(track.u - box[0], track.v - box[1]) < radius:
+                return True
     return False
 
 
@@ -174,36 +171,26 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
 
 def _programme(args: argparse.Namespace) -> Programme:
     seconds = QUICK_SECONDS if args.quick else SECONDS
-    return Programme(
-        seeds=args.seeds, seconds=seconds, fps=args.fps, tracker=args.tracker, second_stage=args.second_stage,
-        one_world=args.one_world,
-    )  # fmt: skip
+    told = {name: getattr(args, name) for name in ("seeds", "fps", "tracker", "second_stage", "one_world")}
+    return Programme(seconds=seconds, **told)
 
 
 def _rows(args: argparse.Namespace) -> list[Row]:
     for name in args.scenarios:
         load_scenario(name)  # now, not after an hour of others
-    p = _programme(args)
-    return [
-        Row(name, partial(fly, p, name), summary, {"name": name}, place=("scenarios", name))
-        for name in args.scenarios
-    ]
+    one = partial(fly, _programme(args))
+    return [Row(n, partial(one, n), summary, {"name": n}, ("scenarios", n)) for n in args.scenarios]
 
 
 def _plot(args: argparse.Namespace, flights: dict[str, list[Flight]]) -> None:
     """What the tracks were on that stood for longest."""
     figure, axes = report.pyplot().subplots(3, SHOWN // 3, figsize=(11.0, 9.0), layout="constrained")
-    standing = [
-        (name, flight.seed, one)
-        for name, many in flights.items()
-        for flight in many
-        for one in flight.standing
-    ]
+    flown = [(name, flight) for name, many in flights.items() for flight in many]
+    standing = [(name, flight.seed, one) for name, flight in flown for one in flight.standing]
+    standing.sort(key=lambda each: -each[2].seconds)
     for spot in axes.flat:
         spot.axis("off")
-    for spot, (name, seed, one) in zip(
-        axes.flat, sorted(standing, key=lambda each: -each[2].seconds), strict=False
-    ):
+    for spot, (name, seed, one) in zip(axes.flat, standing, strict=False):
         spot.imshow(cv2.cvtColor(picture_of(_programme(args), name, seed, one), cv2.COLOR_BGR2RGB))
         spot.set_title(f"{name}, seed {seed}, drone {one.observer}\n{one.seconds:.1f} s", fontsize=9)
     if not standing:
@@ -259,4 +246,3 @@ BENCH = Flights(
         ("wrong names, %", "{wrong:.2p}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

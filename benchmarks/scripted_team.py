@@ -175,9 +175,8 @@ class ScriptedDrone:
             await asyncio.sleep(0.1)
 
     def _announce(self, now: float, offset: float) -> None:
-        pose = Announcement(
-            self.drone_id, self._boot, 1, now, 0.05, self.position(now), np.eye(3), 0.01 * np.eye(3)
-        )
+        place, cov = self.position(now), 0.01 * np.eye(3)
+        pose = Announcement(self.drone_id, self._boot, 1, now, 0.05, place, np.eye(3), cov)
         self._say(Kind.POSE, codec.encode(announcement_message(pose, offset, now)))
 
     def _in_view(self, now: float) -> dict[int, InView]:
@@ -196,18 +195,9 @@ class ScriptedDrone:
             Sighting(self.calls.get(who, who), 0.99, self.camera(now, k) @ (v / np.linalg.norm(v)), 0.01)
             for who, (k, v) in seen.items()
         ]
-        named = {s.drone_id: s for s in sightings}  # of each name one
-        report = SightingReport(
-            self.drone_id,
-            self._boot,
-            self._sequence,
-            now,
-            0.0,
-            self.position(now),
-            0.1,
-            (),
-            tuple(named.values()),
-        )
+        named = tuple({s.drone_id: s for s in sightings}.values())  # of each name one
+        sent = self.drone_id, self._boot, self._sequence, now, 0.0
+        report = SightingReport(*sent, self.position(now), 0.1, (), named)
         self._say(Kind.IDENTITIES, codec.encode(sightings_message(report, offset, now)))
 
     def _say_tracks(self, now: float, offset: float, seen: dict[int, InView]) -> None:
@@ -215,16 +205,8 @@ class ScriptedDrone:
         for who, (number, v) in seen.items():
             u, w = FOCAL * v[0] / v[2] + 160.0, FOCAL * v[1] / v[2] + 128.0
             size = np.array([FOCAL, 0.4 * FOCAL]) * 0.9 / v[2]
-            track = Track(
-                who,
-                now,
-                np.array([u, 12.0, w, 3.0]),
-                np.diag([4.0, 9.0, 2.0, 9.0]),
-                TrackStatus.CONFIRMED,
-                1.0,
-                size,
-                camera=number,
-            )
+            mean, cov = np.array([u, 12.0, w, 3.0]), np.diag([4.0, 9.0, 2.0, 9.0])
+            track = Track(who, now, mean, cov, TrackStatus.CONFIRMED, 1.0, size, camera=number)
             called = self.calls.get(who, who)
             tracks.append(IdentifiedTrack(track, called, 0.99, relative=self._relative(who, called, now)))
         message = tracks_message(TrackList(now, now - 0.02, tuple(tracks)), self._sequence, offset, 0.05)
@@ -243,16 +225,8 @@ class ScriptedDrone:
         picture = self._scene.copy()
         for v in (one.vector for one in seen.values() if one.camera == number):
             centre = (round(FOCAL * v[0] / v[2] + 160.0), round(FOCAL * v[1] / v[2] + 128.0))
-            cv2.ellipse(
-                picture,
-                centre,
-                (round(0.4 * FOCAL / v[2]), round(0.13 * FOCAL / v[2])),
-                0,
-                0,
-                360,
-                (40, 40, 44),
-                -1,
-            )
+            axes = round(0.4 * FOCAL / v[2]), round(0.13 * FOCAL / v[2])
+            cv2.ellipse(picture, centre, axes, 0, 0, 360, (40, 40, 44), -1)
         jpeg = cv2.imencode(".jpg", picture)[1].tobytes()
         camera = self.camera(now, number)
         view = VideoMessage(

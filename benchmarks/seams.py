@@ -1,8 +1,7 @@
-"""Tracks that go over from one camera of a drone to the next: how many are kept, and what they tell of the mounting.
+"""Tracks that go over from one camera of a drone to the next: how many are kept (docs/cameras.md).
 
-Two cameras of 90° look ahead and to the right, at 15 Hz each and not in step, with detections that are missed, false
-and 1.5 px off. The drone yaws there and back, so that three drones that stand still around it cross the seam. The
-second camera is turned by `off` about an axis drawn by chance, of which the tracker is told so much sigma per camera.
+The second camera is turned by `off` about an axis drawn by chance, of which the tracker is told so much sigma per
+camera.
 
 * kept: of all crossings, those after which a confirmed track of the same number is on the drone.
 * doubles: s per minute in which a drone has another confirmed track beside its own.
@@ -86,7 +85,6 @@ class Yawing:
     """The drone: it swings to and fro by as much as crosses the seam, at a steady rate but for the turns."""
 
     def __init__(self, row: Row, chance: np.random.Generator) -> None:
-        self._row = row
         self._period = 4.0 * math.radians(50.0) / row.rate
         self._phase = chance.uniform(0.0, 1.0)
 
@@ -114,12 +112,10 @@ class Scene:
     def __init__(self, row: Row, seed: int) -> None:
         self._chance = np.random.default_rng((seed, 22))
         self.flight = Yawing(row, self._chance)
-        self.told = cameras(row)
+        self.told = first, second = cameras(row)
         axis = self._chance.standard_normal(3)
-        turn = math.radians(row.off_deg) * axis / np.linalg.norm(axis)
-        first, second = self.told
-        self.true = [first, Pose(second.rotation @ rotation.exp(turn), second.position)]
-        self.turn = turn
+        self.turn = math.radians(row.off_deg) * axis / np.linalg.norm(axis)
+        self.true = [first, Pose(second.rotation @ rotation.exp(self.turn), second.position)]
         self.gyro = GyroHistory()
         self._imu = self._samples()
         self._next = next(self._imu)
@@ -140,11 +136,9 @@ class Scene:
             self.gyro.append(*self._next)
             self._next = next(self._imu)
 
-    def pixels(
-        self, camera: int, t: float, *, mounted: list[Pose] | None = None
-    ) -> tuple[Array, NDArray[np.bool_]]:
+    def pixels(self, camera: int, t: float) -> tuple[Array, NDArray[np.bool_]]:
         """Where each drone is in the picture (n, 2) px, and whether it is inside (n,)."""
-        pose = Pose(self.flight.attitude(t), np.zeros(3)) @ (mounted or self.true)[camera]
+        pose = Pose(self.flight.attitude(t), np.zeros(3)) @ self.true[camera]
         pixel, _, ahead = CAMERA.project_undistorted(pose.inverse().transform(PLACES))
         low, high = CAMERA.ideal_bounds
         inside: NDArray[np.bool_] = ahead & ((pixel >= low) & (pixel <= high)).all(axis=1)
@@ -157,9 +151,8 @@ class Scene:
         low, high = CAMERA.ideal_bounds
         false = self._chance.uniform(low, high, (self._chance.poisson(CLUTTER), 2))
         width = SPAN * CAMERA.fx / np.linalg.norm(PLACES[seen], axis=1)
-        size = np.concatenate(
-            [np.column_stack([width, 0.5 * width]), self._chance.uniform(10.0, 40.0, false.shape)]
-        )
+        own = np.column_stack([width, 0.5 * width])
+        size = np.concatenate([own, self._chance.uniform(10.0, 40.0, false.shape)])
         score = np.concatenate([np.full(len(seen), 0.8), np.full(len(false), 0.5)])
         return Scan(t, np.concatenate([z, false]), size=size, score=score)
 
@@ -193,16 +186,10 @@ def fly(row: Row, tracker: str, seed: int) -> Flown:
     error = scene.turn + (found.angle if found else 0.0)
     crossings = [crossing for n in range(len(PLACES)) for crossing in _crossings(n, seen, inside)]
     doubles = sum(max(len(ids) - 1, 0) for _, drones in seen for ids in drones) / len(seen) * 60.0
-    late = [kept for t, kept in crossings if t > SECONDS / 2.0]
-    return Flown(
-        len(crossings),
-        sum(kept for _, kept in crossings),
-        len(late),
-        sum(late),
-        doubles,
-        math.degrees(float(np.linalg.norm(np.cross(error, SEAM_RAYS), axis=1).max())),
-        found.crossings if found else 0,
-    )
+    kept, late = [kept for _, kept in crossings], [kept for t, kept in crossings if t > SECONDS / 2.0]
+    off_deg = math.degrees(float(np.linalg.norm(np.cross(error, SEAM_RAYS), axis=1).max()))
+    learned_from = found.crossings if found else 0
+    return Flown(len(kept), sum(kept), len(late), sum(late), doubles, off_deg, learned_from)
 
 
 def on_drones(tracks: tuple[Track, ...], scene: Scene, t: float) -> list[set[int]]:
@@ -272,4 +259,3 @@ BENCH = Flights(
         ("from crossings", "{learned_from:.0f}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -1,12 +1,10 @@
-"""Who is who without a word on the air, over many flights: by the team's file, by codes, and by both.
+"""Who is who without a word on the air, by the team's file, by codes, and by both (docs/silent.md).
 
-One observer looks at N teammates at 5 to 20 m that hold their places in the wind, in the virtual swarm: real `Onboard`,
-shipped tracker, misses, clutter and boxes that merge. Everybody's place in the file is off by `slots` metres per axis,
-or nobody's place is known. Where codes are flown, they begin `CODE_S` after the observer began to look.
+Everybody's place in the file is off by `slots` metres per axis, or nobody's place is known. Where codes are flown, they
+begin `CODE_S` after the observer began to look.
 
 * all named: seconds from the beginning of the code (of the look, where there is none) until each teammate has had its
-  right name; infinite where one had not within `SECONDS`.
-* named: the share of teammates that bear their right name at the end.
+  right name; infinite where one had not within `SECONDS`. named: the share of teammates that bear it at the end.
 * wrong: teammates that ever bore another's name, or were called foreign.
 """
 
@@ -15,21 +13,19 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmtrack.arguments import count
 from swarmtrack.benchmarks.harness import (
     PROCESSES,
     TRACKER,
     Flights,
     Row,
-    option,
     quantile,
     seeds,
+    several,
     share,
 )
 from swarmtrack.benchmarks.virtual_swarm import VirtualSwarm
@@ -42,12 +38,12 @@ from swarmtrack.lab.scenarios.scenario import (
     announced_starts,
     fly,
 )
-from swarmtrack.lab.score.swarm_score import SCORE_HZ, Glance, NamedTrack, SwarmScorer
+from swarmtrack.lab.score.swarm_score import SCORE_HZ, Glance, NamedTrack, SwarmScorer, confirmed_tracks
 from swarmtrack.lab.score.swarm_truth import SwarmTruth
 from swarmtrack.lab.world.sensors import DetectorParameters
 from swarmtrack.lab.world.trajectory import SteadyYaw
 from swarmtrack.lab.world.world import World
-from swarmtrack.messages import Array, TrackStatus
+from swarmtrack.messages import Array
 from swarmtrack.runtime.filed import SOMEWHERE_M
 
 DRONES = (3, 5, 10)
@@ -79,8 +75,7 @@ MODES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Flight:
+class Flight(NamedTuple):
     """What came of one: seconds until each teammate was named (inf: never), who was at the end, who was ever wrong."""
 
     all_named_s: float
@@ -93,11 +88,10 @@ def scenario_of_seed(n: int, mode: Mode, seed: int) -> Scenario:
     chance = World(seed, {}).chance("silent layout", n)
     eye = np.array([0.0, 0.0, -HEIGHT_M])
     plans = {OBSERVER: Plan(eye, SteadyYaw(0.0))}
-    places = _places(n, chance)
-    plans |= {OBSERVER + 1 + k: Plan(eye + place, SteadyYaw(math.pi)) for k, place in enumerate(places)}
-    team = tuple(plans)
+    for drone_id, place in enumerate(_places(n, chance), start=OBSERVER + 1):
+        plans[drone_id] = Plan(eye + place, SteadyYaw(math.pi))
     codes_s = (CODE_S,) if mode.code else ()
-    world = fly(seed, plans, WIND_M, codes_s=codes_s, team=team)
+    world = fly(seed, plans, WIND_M, codes_s=codes_s, team=tuple(plans))
     announced = announced_starts(world, mode.slots_m or SOMEWHERE_M)
     announced[OBSERVER] = AnnouncedStart(world.flown(OBSERVER).position(0.0), 0.0, mode.slots_m or 0.3)
     return Scenario(
@@ -124,8 +118,7 @@ def _places(n: int, chance: np.random.Generator) -> list[Array]:
 
 
 def _apart(one: Array, other: Array) -> bool:
-    across = float(np.linalg.norm(np.cross(one, other)))
-    angle = math.atan2(across, float(one @ other))
+    angle = math.atan2(float(np.linalg.norm(np.cross(one, other))), float(one @ other))
     return float(np.linalg.norm(one - other)) > APART_M and angle > APART_RAD
 
 
@@ -136,12 +129,7 @@ def look(n: int, mode: Mode, tracker: str, seed: int) -> Flight:
     judge = _Judge(scenario)
     begins = CODE_S if mode.code else 0.0
     for scan in swarm.fly(begins + SECONDS):
-        tracks = [
-            NamedTrack(one.track.id, one.identity, one.identity_probability, *one.track.mean[::2].tolist())
-            for one in scan.tracks.tracks
-            if one.track.status is TrackStatus.CONFIRMED
-        ]
-        judge.add_scan(scan.exposed_t, tuple(tracks))
+        judge.add_scan(scan.exposed_t, confirmed_tracks(scan.tracks))
     return judge.flight(begins)
 
 
@@ -194,16 +182,11 @@ def summary(n: int, flights: Sequence[Flight]) -> dict[str, Any]:
 
 
 def _rows(args: argparse.Namespace) -> list[Row]:
-    return [
-        Row(
-            f"{mode.words}, {n} drones",
-            partial(look, n, mode, args.tracker),
-            partial(summary, n),
-            {"mode": mode.words, "drones": n},
-        )
-        for mode in MODES
-        for n in args.drones
-    ]
+    def row(mode: Mode, n: int) -> Row:
+        fly, facts = partial(look, n, mode, args.tracker), {"mode": mode.words, "drones": n}
+        return Row(f"{mode.words}, {n} drones", fly, partial(summary, n), facts)
+
+    return [row(mode, n) for mode in MODES for n in args.drones]
 
 
 BENCH = Flights(
@@ -214,14 +197,7 @@ BENCH = Flights(
     seeds=seeds(60, quick=4),
     options=(
         TRACKER,
-        option(
-            "--drones",
-            "teammates in view (default: 3 5 10)",
-            type=count,
-            nargs="+",
-            default=DRONES,
-            metavar="N",
-        ),
+        several("--drones", "teammates in view (default: 3 5 10)", DRONES),
         PROCESSES,
     ),
     rows=_rows,
@@ -236,4 +212,3 @@ BENCH = Flights(
         ("wrong, %", "{wrong:.1p}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -175,4 +175,3 @@ BENCH = Benchmark(
         ),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

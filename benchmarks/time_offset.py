@@ -1,13 +1,9 @@
-"""How well the camera's time offset and the gyro's bias are found in flight, and how honest their sigmas are.
+"""How well the camera's time offset and the gyro's bias are found in flight (docs/time_offset.md).
 
-Simulated flights of thirty seconds: a gyro with bias and noise, attitudes, and detections with misses, clutter and
-noise, stamped wrong by a known offset, go to the two estimators as Onboard feeds them (neither asks the tracker). In
-*looking round* the observer of the crossing scenario turns to another heading every few seconds, as a pilot or a search
-does; it flies every seed with each of five offsets. Of the scenarios as they are shipped, and of an observer that
-stands still, each seed flies with one of the five.
-
-Beside each stands what an estimator could reach that knew where all targets truly are, so that the pixels' noise
-alone was left. Nobody can: a target moves as it likes, and slow turns look like a target's own motion.
+Gyro, attitudes and detections go to the two estimators as Onboard feeds them; neither asks the tracker. In *looking
+round* the observer of the crossing scenario turns to another heading every few seconds; it flies every seed with each
+of five offsets. Of the other flights each seed has one of the five. The limit is that of an estimator that knew where
+all targets truly are, so that the pixels' noise alone was left.
 """
 
 from __future__ import annotations
@@ -389,4 +385,3 @@ def _plot(path: Path, runs: dict[str, list[Run]]) -> None:
 
 
 BENCH = Benchmark(NAME, _measured, _page, options=(seeds(100, quick=4),), draws=True)
-add_arguments, run = BENCH.add_arguments, BENCH.run

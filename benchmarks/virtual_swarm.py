@@ -221,10 +221,8 @@ class VirtualSwarm:
         for other, start in scenario.announced.items():
             if other == drone_id:
                 continue
-            sigma = start.position_sigma_m
-            onboard.tell(
-                filed_announcement(other, -LEAD_S, position=start.position_m, yaw=start.yaw, sigma=sigma)
-            )
+            place, sigma = start.position_m, start.position_sigma_m
+            onboard.tell(filed_announcement(other, -LEAD_S, position=place, yaw=start.yaw, sigma=sigma))
             for begin in scenario.codes_s:
                 onboard.tell(coded_motion(other, scenario.members, begin))
 
@@ -301,6 +299,11 @@ class VirtualSwarm:
         """One drone's word to another; overridden where it does not arrive as it was said."""
         self._drones[receiver].onboard.tell(said)
 
+    def _deliver_to_all(self, sender: int, now: float, *said: PeerArrived | Said) -> None:
+        for receiver in self._drones:
+            for one in said if receiver != sender else ():
+                self._deliver(sender, receiver, one, now)
+
     def _due(self, what: str, index: int, rate: float) -> float:
         if what not in self._scans:
             return index / rate
@@ -364,10 +367,7 @@ class VirtualSwarm:
             world_from_body=pose.world_from_body,
             position_cov=start_sigma**2 * np.eye(3) + pose.position_cov,
         )
-        for other_id in self._drones:
-            if other_id != drone_id:
-                self._deliver(drone_id, other_id, PeerArrived(drone_id, announcement.boot), now)
-                self._deliver(drone_id, other_id, announcement, now)
+        self._deliver_to_all(drone_id, now, PeerArrived(drone_id, announcement.boot), announcement)
         for other_id, other in self._drones.items():  # a late joiner hears those who were there before
             if other_id != drone_id and drone.announced == 1:
                 for earlier in list(other.onboard.teammates.values()):
@@ -387,9 +387,7 @@ class VirtualSwarm:
             return
         drone.reported_t, drone.reported = now, seen
         drone.reports += 1
-        for other_id in self._drones:
-            if other_id != drone_id:
-                self._deliver(drone_id, other_id, dataclasses.replace(report, t_sigma=CLOCK_SIGMA), now)
+        self._deliver_to_all(drone_id, now, dataclasses.replace(report, t_sigma=CLOCK_SIGMA))
 
     def _share(self, drone_id: int, drone: _Drone, now: float) -> None:
         if self._share_hz == 0.0 or now * self._share_hz < drone.shared:
@@ -398,10 +396,7 @@ class VirtualSwarm:
         report = drone.onboard.motion_report(f"{drone_id:08x}", drone.shared)
         if report is None:
             return
-        said = dataclasses.replace(self._said(report), t_sigma=CLOCK_SIGMA)
-        for other_id in self._drones:
-            if other_id != drone_id:
-                self._deliver(drone_id, other_id, said, now)
+        self._deliver_to_all(drone_id, now, dataclasses.replace(self._said(report), t_sigma=CLOCK_SIGMA))
 
     def _said(self, report: MotionReport) -> MotionReport:
         """What a drone says of its motion; overridden where it lies."""

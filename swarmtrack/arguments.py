@@ -22,17 +22,19 @@ def add_commands(
     *,
     dest: str,
     metavar: str,
+    of: str = "",
     **more: Any,
 ) -> None:
     """A command for each name in the table of (module, summary), one of which a command line must name. more: as
     `add_subparsers` takes it.
 
-    Its module is imported when a command line names it, not before, so `--help` answers at once; it then adds its own
-    arguments by `add_arguments(parser)`.
+    Its module is imported when a command line names it, not before, so `--help` answers at once; it, or what is named
+    `of` in it, then adds its own arguments by `add_arguments(parser)`.
     """
     commands = parser.add_subparsers(dest=dest, required=True, metavar=metavar, parser_class=_Command, **more)
     for name, (module, summary) in table.items():
-        add_action(commands, name, summary).module = module
+        command = add_action(commands, name, summary)
+        command.module, command.of = module, of
 
 
 def add_action(actions: Any, name: str, summary: str, **more: Any) -> Any:
@@ -49,10 +51,12 @@ class _Command(argparse.ArgumentParser):
 
     module: str | None = None
     """That has still to add its arguments."""
+    of: str = ""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         if self.module is not None:
-            import_module(self.module).add_arguments(self)
+            module = import_module(self.module)
+            (getattr(module, self.of) if self.of else module).add_arguments(self)
             self.module = None
         return super().parse_known_args(args, namespace)
 

@@ -1,8 +1,4 @@
-"""Half an hour in the air: does anything grow, fall behind or get lost?
-
-`swarmtrack sim` flies three drones that look at each other, with monitor and recording and with a viewer who looks at
-all of them. Every ten seconds every process' memory and CPU are read, and with them what the agents say of themselves:
-how late their event loops were, how many IMU samples came and how many should have, how often they saw and spoke.
+"""Half an hour in the air: does anything grow, fall behind or get lost (docs/swarm.md)?
 
 From the fifth minute on (of a short flight: after a fifth of it) no process may grow by more than 5 %, no event loop be
 100 ms late, no IMU sample be lost, and no rate be more than 5 % off its median in any window. The process that judges
@@ -229,4 +225,3 @@ BENCH = Benchmark(
     record=_record,
     draws=True,
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

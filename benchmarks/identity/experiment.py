@@ -1,22 +1,17 @@
 """Who is who from one look: the paper's Algorithm 1, its one-to-one relatives, and the posterior over all matchings.
 
-A layout is one image of 640×480 px with N drones whose true projections are uniform in it and independent: no two
-keep a distance. Every drone was announced, so its projection is known but for the error of the announced poses; of
-every drone that is seen there is a track, known but for a little noise. The error between the two is Gaussian, `error`
-px per axis in all, and the observer knows how large it is. Which track belongs to which projection is not known.
+A layout is one image with N drones whose true projections are uniform in it and independent. The error between track
+and projection is Gaussian, `error` px per axis in all, and the observer knows how large it is (docs/swarm.md).
 
 Skies. *complete*: every drone has a track and nobody else flies. In the others some drones are missed and some tracks
-are strangers, uniform in the image, as many as Poisson draws: *as expected*, as often as an agent's prior has it, and
-*crowded*, more often. So *complete* and *crowded* also show what a wrong prior costs: there the posterior stands
-twice, with the prior that every agent has and *told* the one of the sky.
+are strangers, as many as Poisson draws: *as expected*, as often as an agent's prior has it, and *crowded*, more often.
+*complete* and *crowded* also show what a wrong prior costs: there the posterior stands twice, with the prior that every
+agent has and *told* the one of the sky.
 
-Methods. *argmin*: every track takes the ID of the nearest projection (Algorithm 1 as printed). *Hungarian*: the
-one-to-one matching with the least sum of distances. *margin*: the likeliest matching, an ID only where the likeliest
-matching without it is (1 − p) / p as likely. *posterior*: an ID where it has the probability p in the sum over all
-matchings. Only the last two know "unknown".
-
-Of all tracks, wrong are those that were given an ID that is not theirs; unknown those of the team's tracks that were
-given none. Layouts are independent, tracks of a layout are not: 95 % intervals are over layouts.
+Methods. *argmin*: every track takes the ID of the nearest projection. *Hungarian*: the matching with the least sum of
+distances. *margin*: the likeliest matching, an ID only where the likeliest matching without it is (1 − p) / p as
+likely. *posterior*: an ID where it has the probability p in the sum over all matchings. Of all tracks, wrong are those
+that were given an ID that is not theirs; unknown those of the team's tracks that were given none.
 """
 
 from __future__ import annotations

@@ -386,4 +386,3 @@ BENCH = Benchmark(
     options=(amount("--layouts", 1000, 50, "random ones of each cell"), PROCESSES),
     draws=True,
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

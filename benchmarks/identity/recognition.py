@@ -7,8 +7,9 @@ processes, clocks and radios can spoil is not in it: that is `swarmtrack bench s
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -100,14 +101,14 @@ def summary(flights: Sequence[Flight]) -> dict[str, Any]:
     """The columns of one row of the table."""
     scores = [flight.score for flight in flights]
     return {
-        **{name: _interval([getattr(score, name) for score in scores])._asdict() for name in SHARES},
+        **{name: _interval(getattr(score, name) for score in scores)._asdict() for name in SHARES},
         "flights_with_a_wrong_name": sum(score.wrong > 0.0 for score in scores),
         "slowest_to_identify_s": max(s for score in scores for s in score.time_to_identify_s.values()),
         "announcements_per_drone": float(np.mean([flight.announcements_per_drone for flight in flights])),
     }
 
 
-def _interval(samples: Sequence[float]) -> Interval:
+def _interval(samples: Iterable[float]) -> Interval:
     return mean_interval(np.array([sample for sample in samples if np.isfinite(sample)]))
 
 
@@ -121,8 +122,8 @@ def _percent(name: str) -> Callable[[dict[str, Any]], str]:
     return cell
 
 
-def _seconds(*, quick: bool) -> float:
-    return QUICK_SECONDS if quick else SECONDS
+def _seconds(args: argparse.Namespace) -> float:
+    return QUICK_SECONDS if args.quick else SECONDS
 
 
 BENCH = Flights(
@@ -134,20 +135,14 @@ BENCH = Flights(
     seeds=seeds(100, quick=4),
     options=(TRACKER, scenarios(SCENARIOS), PROCESSES),
     rows=lambda args: [
-        Row(
-            name,
-            partial(fly, name, DRONES, _seconds(quick=args.quick), args.tracker),
-            summary,
-            {"name": name},
-            place=("scenarios", name),
-        )
-        for name in args.scenarios
+        Row(n, partial(fly, n, DRONES, _seconds(args), args.tracker), summary, {"name": n}, ("scenarios", n))
+        for n in args.scenarios
     ],
     facts=lambda args: {
         "tracker": args.tracker,
         "drones": DRONES,
         "seeds": args.seeds,
-        "seconds": _seconds(quick=args.quick),
+        "seconds": _seconds(args),
     },
     columns=(
         ("scenario", "{name}"),
@@ -157,4 +152,3 @@ BENCH = Flights(
         ("announcements of a drone", "{announcements_per_drone:.1f}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -29,7 +29,7 @@ def test_a_summary_is_of_the_second_half_and_settles_where_it_stays_below_a_tent
     share = np.full((105, 1), 0.05)
     share[:21] = 0.3
     ones = np.ones((105, 1))
-    flight = relative.Judged(4.0 * ones, ones, 0.01 * ones, 6.0 * ones, ones, 2.25 * ones, share)
+    flight = relative.Judged(4.0 * ones, ones, 0.01 * ones, 6.0 * ones, share, ones, 2.25 * ones)
     found = relative.summary([flight, flight])
     assert (found["rmse_m"], found["bound_m"], found["range_error"]) == pytest.approx((2.0, 1.0, 0.1))
     assert found["bound_speeds_unknown_m"] == pytest.approx(1.5)
