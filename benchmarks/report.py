@@ -47,23 +47,11 @@ def progress(description: str, total: int) -> Iterator[Callable[[str], None]]:
 
 def write(out: Path, name: str, result: dict[str, Any], markdown: str) -> None:
     """NAME.json (with the machine and the versions) and NAME.md in the folder `out`."""
-    _write_json(out, name, {"benchmark": name, "machine": machine(), **result})
-    (out / f"{name}.md").write_text(f"{markdown.rstrip()}\n\n{_machine_line()}\n", encoding="utf-8")
-
-
-def write_rows(
-    out: Path, name: str, rows: Sequence[dict[str, Any]], markdown: str, *, about: dict[str, Any]
-) -> None:
-    """As `write`, but NAME.json is the plain list of rows; the machine and `about` are in NAME_machine.json."""
-    write(out, name, {}, markdown)
-    _write_json(out, name, list(rows))
-    _write_json(out, f"{name}_machine", {"machine": machine(), **about})
-
-
-def _write_json(out: Path, stem: str, content: Any) -> None:
     out.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(_finite(content), indent=1, allow_nan=False, ensure_ascii=False)
-    (out / f"{stem}.json").write_text(text + "\n", encoding="utf-8")
+    document = {"benchmark": name, "machine": machine(), **_finite(result)}
+    text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+    (out / f"{name}.json").write_text(text + "\n", encoding="utf-8")
+    (out / f"{name}.md").write_text(f"{markdown.rstrip()}\n\n{_machine_line()}\n", encoding="utf-8")
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], *, numbers: bool = True) -> str:

@@ -3,9 +3,6 @@
 Each run of a scene is filmed once and shown to every tracker. Runs are spread over processes; what comes out depends
 on the scene, the tracker and the number of the run alone, so on neither `--jobs` nor the order. Times are taken
 afterwards, in one process.
-
-trackers.json is the plain list of rows, one for each scene and tracker; trackers_machine.json holds the machine, the
-costs, the ablation and what else the page trackers.md is made of.
 """
 
 from __future__ import annotations
@@ -14,13 +11,13 @@ import argparse
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any, NamedTuple
 
 from swarmtrack.arguments import require_extra
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import Command, Option, flag, option, pool
-from swarmtrack.benchmarks.trackers import page, timing
+from swarmtrack.benchmarks.harness import Benchmark, flag, option, pool
+from swarmtrack.benchmarks.trackers import page, plots, timing
 from swarmtrack.benchmarks.trackers.play import MakePlayer, Score, applies, late_difference, record, score
 from swarmtrack.benchmarks.trackers.results import Played, Programme, Result, row
 from swarmtrack.benchmarks.trackers.scenes import SCENES, film
@@ -69,26 +66,20 @@ class Block(NamedTuple):
     runs: range
 
 
-@dataclass(frozen=True)
-class Trackers(Command):
-    """NAME.json is a plain list of rows, unlike others'."""
-
-    name: str
-    options: Sequence[Option]
-    draws: bool = True
-
-    def _measure(self, args: argparse.Namespace) -> dict[str, Any]:
-        programme = Programme(
-            trackers=tuple(args.tracker), scenes=tuple(args.scene), runs=args.runs, quick=args.quick,
-            peers=args.peers, jobs=args.jobs,
-        )  # fmt: skip
-        result = found(programme)
-        page.write(args.out, NAME, result)
-        return {"rows": result.rows}
+def _measured(args: argparse.Namespace) -> Result:
+    """Plots into `args.out`, too."""
+    programme = Programme(
+        trackers=tuple(args.tracker), scenes=tuple(args.scene), runs=args.runs, quick=args.quick,
+        peers=args.peers, jobs=args.jobs,
+    )  # fmt: skip
+    result = found(programme)
+    return result._replace(plots=plots.draw(args.out, result))
 
 
-BENCH = Trackers(
+BENCH = Benchmark(
     NAME,
+    _measured,
+    page.markdown,
     options=(
         option("--runs", "of every scene (default: its own, 100 or 300)", type=int, metavar="N"),
         option("--tracker", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
@@ -96,8 +87,9 @@ BENCH = Trackers(
         flag("--peers", "Stone Soup's, too (needs swarmtrack[peers])"),
         option("--jobs", "processes (default: one a core)", type=int, default=os.cpu_count(), metavar="N"),
     ),
+    record=page.as_json,
+    draws=True,
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run
 
 
 def found(programme: Programme) -> Result:
@@ -116,7 +108,7 @@ def found(programme: Programme) -> Result:
     rows = [row(SCENES[scene], label, scores) for (scene, label), scores in compared.items()]
     wall = time.monotonic() - began
     difference = {tracker: late_difference(tracker) for tracker in programme.own}
-    return Result(programme, rows, compared, ablation, costs, enumerated, reference, difference, wall)
+    return Result(programme, rows, compared, ablation, costs, enumerated, reference, difference, wall, [])
 
 
 def load_peers() -> Mapping[str, MakePlayer]:

@@ -87,4 +87,3 @@ BENCH = Flights(
         ("ratio, 95 %", "{ratio:.3f}"),
     ),
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -171,24 +171,23 @@ def smooth(scene: Scene, take: Take) -> Array:
     k, n = take.truth.shape[:2]
     oracle = ConstantVelocity(n, scene)
     oracle.begin(np.arange(n), take.start)
-    prior, posterior = [(oracle.mean.copy(), oracle.cov.copy())], [(oracle.mean.copy(), oracle.cov.copy())]
+
+    def now() -> tuple[Array, Array]:
+        return oracle.mean.copy(), oracle.cov.copy()
+
+    prior, posterior = [now()], [now()]
     for step, (scan, made, _, _) in enumerate(take.observations, start=1):
         oracle.predict(take.t[step] - take.t[step - 1], None, 0.0)
-        prior.append((oracle.mean.copy(), oracle.cov.copy()))
+        prior.append(now())
         seen = np.flatnonzero(made >= 0)
         oracle.update(seen, scan.z[made[seen]])
-        posterior.append((oracle.mean.copy(), oracle.cov.copy()))
+        posterior.append(now())
     smoothed = np.empty((k, n, 4))
     smoothed[-1] = posterior[-1][0]
     for step in range(k - 2, -1, -1):
         (mean, P), (ahead, P_ahead) = posterior[step], prior[step + 1]
-        F = _transition(take.t[step + 1] - take.t[step])
+        F = np.eye(4)
+        F[0, 1] = F[2, 3] = take.t[step + 1] - take.t[step]
         gain = np.linalg.solve(P_ahead, F @ P).swapaxes(1, 2)
         smoothed[step] = mean + (gain @ (smoothed[step + 1] - ahead)[:, :, None])[:, :, 0]
     return smoothed[:, :, POSITION]
-
-
-def _transition(dt: float) -> Array:
-    F = np.eye(4)
-    F[0, 1] = F[2, 3] = dt
-    return F

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
+from typing import Any
 
 from swarmtrack.benchmarks import report
 from swarmtrack.benchmarks.report import number
-from swarmtrack.benchmarks.trackers import plots
 from swarmtrack.benchmarks.trackers.results import Result, Row, by_cell
 from swarmtrack.benchmarks.trackers.scenes import SCENES, SEED
-from swarmtrack.benchmarks.trackers.verdicts import Verdict, verdicts
+from swarmtrack.benchmarks.trackers.verdicts import verdicts
 from swarmtrack.lab.score.paper_scenario import CONDITIONS, PUBLISHED_RMSE_PX
 
 STONE_SOUP_RMSE_PX = {  # 50 runs each, measured when this project began; `--peers` measures anew
@@ -32,30 +31,29 @@ FAMILIES = {
 FEW_FAILURES = 0.01
 
 
-def write(out: Path, name: str, result: Result) -> None:
-    found, programme = verdicts(result), result.programme
-    about = {
+def as_json(result: Result) -> dict[str, Any]:
+    return {
         "seed": SEED,
-        "quick": programme.quick,
-        "jobs": programme.jobs,
+        "quick": result.programme.quick,
+        "jobs": result.programme.jobs,
         "wall_s": result.wall_s,
         "reference_ms": result.reference_ms,
-        "verdicts": [verdict._asdict() for verdict in found],
+        "rows": result.rows,
+        "verdicts": [verdict._asdict() for verdict in verdicts(result)],
         "costs": [cost._asdict() for cost in result.costs],
         "enumeration": result.enumeration._asdict() if result.enumeration else None,
         "ablation": result.ablation,
     }
-    report.write_rows(out, name, result.rows, _markdown(result, found, plots.draw(out, result)), about=about)
 
 
-def _markdown(result: Result, found: Sequence[Verdict], drawn: Sequence[tuple[str, str]]) -> str:
+def markdown(result: Result) -> str:
     by_family = {
         title: _family(family, rows)
         for family, title in FAMILIES.items()
         if (rows := [row for row in result.rows if SCENES[row["scene"]].family == family])
     }
     sections = {
-        "What must hold": report.table_of(VERDICT_COLUMNS, found, numbers=False),
+        "What must hold": report.table_of(VERDICT_COLUMNS, verdicts(result), numbers=False),
         "Which tracker when": _choice(result),
         **by_family,
         "The default tracker without its parts": _ablation(result) if result.ablation else "",
@@ -65,7 +63,7 @@ def _markdown(result: Result, found: Sequence[Verdict], drawn: Sequence[tuple[st
         "# The trackers",
         _preface(result),
         *(f"## {title}\n\n{text}" for title, text in sections.items() if text),
-        *(f"![{caption}]({file})\n*{caption}.*" for file, caption in drawn),
+        *(f"![{caption}]({file})\n*{caption}.*" for file, caption in result.plots),
     )
 
 

@@ -106,13 +106,10 @@ def record(
 def make_tracker(scene: Scene, tracker: str, parameters: Mapping[str, Any] | None = None) -> Any:
     """By name, told what the scene tells as far as it has names for it. parameters: over those, by exact names."""
     if tracker not in TRACKERS:
-        raise BenchmarkError(
-            f"--tracker: found {tracker!r}, expected one of {', '.join([*TRACKERS, *ORACLES, SMOOTHER])}"
-        )
+        known = ", ".join([*TRACKERS, *ORACLES, SMOOTHER])
+        raise BenchmarkError(f"--tracker: found {tracker!r}, expected one of {known}")
     names = {entry.name for entry in fields(TRACKERS[tracker].Parameters)}
-    scene_tells: Mapping[str, Any] = (
-        AGENT_PARAMETERS | dict(scene.told) if scene.untold else scene.parameters()
-    )
+    scene_tells = AGENT_PARAMETERS | dict(scene.told) if scene.untold else scene.parameters()
     told = {name: value for name, value in scene_tells.items() if name in names}
     return create_tracker(tracker, camera=scene.camera, **{**told, **(parameters or {})})
 
@@ -196,29 +193,15 @@ def _oracle_recording(take: Take, found: dict[float, Array], ms_per_scan: float)
 
 def score(scene: Scene, take: Take, recording: Recording) -> Score:
     cost = _mean_gospa(take, recording)
+    ms = recording.ms_per_scan
     if recording.named is None:
         found = score_found(take.t, take.truth, recording.claims)
-        return Score(
-            rmse_px=found.rmse_px,
-            gospa_px=cost,
-            swapped=found.switches > 0,
-            lost=found.untracked_at_end > 0,
-            ms_per_scan=recording.ms_per_scan,
-            found=found,
-        )
+        return Score(found.rmse_px, cost, found.switches > 0, found.untracked_at_end > 0, ms, found)
     judged = score_named(take.truth, recording.named)
-    return Score(
-        rmse_px=judged.rmse_px,
-        gospa_px=cost,
-        swapped=bool(judged.swapped.any()),
-        lost=bool(judged.lost.any()),
-        ms_per_scan=recording.ms_per_scan,
-        at_px={
-            latency: _late_error(take, recording, latency)
-            for latency in scene.latencies_s
-            if latency in recording.ahead
-        },
-    )
+    known = [latency for latency in scene.latencies_s if latency in recording.ahead]
+    late = {latency: _late_error(take, recording, latency) for latency in known}
+    swapped, lost = bool(judged.swapped.any()), bool(judged.lost.any())
+    return Score(judged.rmse_px, cost, swapped, lost, ms, at_px=late)
 
 
 def _late_error(take: Take, recording: Recording, latency: float) -> float:

@@ -89,6 +89,8 @@ class Result(NamedTuple):
     late_difference: dict[str, float]
     """By tracker: how much reading `at(now)` between scans changes the state at the scans."""
     wall_s: float
+    plots: list[tuple[str, str]]
+    """File name and caption of each."""
 
 
 def row(scene: Scene, tracker: str, scores: Sequence[Score]) -> Row:

@@ -369,47 +369,27 @@ def _paper_scenes() -> list[Scene]:
 
 
 def _crossings() -> list[Scene]:
-    paths = {
-        "crossing": (_MEET, 160, "three drones meet in one place three times"),
-        "slow": (_MEET_SLOWLY, 130, "three drones meet once, three times slower"),
-    }
-    plain = [
-        Scene(
-            name=name,
-            family="crossing",
-            about=f"{about}; clutter 5, σ 1.5 px, P_D 0.9",
-            motion=motion,
-            sensor=_HARD,
-            scans=scans,
-            runs=300,
-        )
-        for name, (motion, scans, about) in paths.items()
-    ]
-    merged = [
-        replace(
-            scene,
-            name=f"{scene.name}_merged",
-            about=f"{scene.about}; detections within 8 px merge",
-            sensor=replace(_HARD, merge_px=8.0),
-            told={"resolution_px": 8.0},
-        )
-        for scene in plain
-    ]
-    return [plain[0], merged[0], plain[1], merged[1]]
+    meeting = partial(Scene, family="crossing", sensor=_HARD, runs=300)
+    hard = "clutter 5, σ 1.5 px, P_D 0.9"
+    thrice = f"three drones meet in one place three times; {hard}"
+    slowly = f"three drones meet once, three times slower; {hard}"
+    plain = (
+        meeting(name="crossing", about=thrice, motion=_MEET, scans=160),
+        meeting(name="slow", about=slowly, motion=_MEET_SLOWLY, scans=130),
+    )
+    return [scene for one in plain for scene in (one, _merged(one))]
 
 
-def _untold(crossings: list[Scene]) -> list[Scene]:
-    return [
-        replace(
-            scene,
-            name=f"untold_{scene.name}",
-            family="untold",
-            about=f"{scene.name}; of it trackers know where it begins, and by how much detections merge",
-            untold=True,
-            draws=scene.name,
-        )
-        for scene in crossings
-    ]
+def _merged(scene: Scene) -> Scene:
+    told, about = {"resolution_px": 8.0}, f"{scene.about}; detections within 8 px merge"
+    sensor = replace(scene.sensor, merge_px=8.0)
+    return replace(scene, name=f"{scene.name}_merged", about=about, sensor=sensor, told=told)
+
+
+def _untold(scene: Scene) -> Scene:
+    about = f"{scene.name}; of it trackers know where it begins, and by how much detections merge"
+    untold = replace(scene, name=f"untold_{scene.name}", about=about, draws=scene.name)
+    return replace(untold, family="untold", untold=True)
 
 
 def _crowds() -> list[Scene]:
@@ -453,15 +433,10 @@ def _unannounced() -> list[Scene]:
         scans=300,
         known_starts=False,
     )
+    slower = births.about.replace("15 Hz", f"{PAPER_HZ:.1f} Hz")
     return [
         births,
-        replace(
-            births,
-            name="births_8hz",
-            about=births.about.replace("15 Hz", f"{PAPER_HZ:.1f} Hz"),
-            rate_hz=PAPER_HZ,
-            scans=166,
-        ),
+        replace(births, name="births_8hz", about=slower, rate_hz=PAPER_HZ, scans=166),
     ]
 
 
@@ -500,21 +475,13 @@ def _late() -> list[Scene]:
         latencies_s=_LATENCIES_S,
         draws="latency",
     )
+    untold = "the same targets, trackers told that they may manoeuvre (600 px²/s³)"
+    swaying = "four targets that sway by up to 15 px at 0.1 to 0.3 Hz"
+    motion = _swaying(_spread, 15.0, 0.1, 0.3)
     return [
         steady,
-        replace(
-            steady,
-            name="latency_steady_untold",
-            about="the same targets, trackers told that they may manoeuvre (600 px²/s³)",
-            told={},
-        ),
-        replace(
-            steady,
-            name="latency_manoeuvring",
-            about="four targets that sway by up to 15 px at 0.1 to 0.3 Hz",
-            motion=_swaying(_spread, 15.0, 0.1, 0.3),
-            told={},
-        ),
+        replace(steady, name="latency_steady_untold", about=untold, told={}),
+        replace(steady, name="latency_manoeuvring", about=swaying, motion=motion, told={}),
     ]
 
 
@@ -522,24 +489,24 @@ def _wrongly_told(rightly: dict[str, Scene]) -> list[Scene]:
     scenes = []
     for base, wrongs in _WRONGLY_TOLD.items():
         for wrong in wrongs:
-            parameter, falsify = _WRONG[wrong]
-            told = {parameter: falsify(rightly[base].parameters()[parameter])}
-            scenes.append(
-                replace(
-                    rightly[base],
-                    name=f"told_wrong_{wrong}_{base}",
-                    family="told_wrong",
-                    about=f"{base}, told {parameter} {told[parameter]:g}",
-                    told=told,
-                    draws=base,
-                )
-            )
+            right, (parameter, falsify) = rightly[base], _WRONG[wrong]
+            told = {parameter: falsify(right.parameters()[parameter])}
+            name, about = f"told_wrong_{wrong}_{base}", f"{base}, told {parameter} {told[parameter]:g}"
+            scenes.append(replace(right, name=name, family="told_wrong", about=about, told=told, draws=base))
     return scenes
 
 
 def _all() -> dict[str, Scene]:
     paper, crossings = _paper_scenes(), _crossings()
-    scenes = [*paper, *crossings, *_untold(crossings), *_crowds(), *_unannounced(), *_turning(), *_late()]
+    scenes = [
+        *paper,
+        *crossings,
+        *map(_untold, crossings),
+        *_crowds(),
+        *_unannounced(),
+        *_turning(),
+        *_late(),
+    ]
     scenes += _wrongly_told({scene.name: scene for scene in paper})
     return {scene.name: scene for scene in scenes}
 

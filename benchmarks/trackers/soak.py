@@ -71,26 +71,22 @@ def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
     t, seen = 0.0, 0
     resident_mb: list[float] = []
     blocks: list[int] = []
-    not_finite = not_positive = not_a_probability = 0
+    faults = np.zeros(3, int)
     for k in range(scans):
         t += float(rng.choice([1e-6, 1 / 60, 1 / 15, 1 / 7, 3.0], p=[0.01, 0.3, 0.4, 0.28, 0.01]))
         angle = rng.normal(0.0, rng.choice([0.0, 0.02, 1.5], p=[0.5, 0.48, 0.02]), 3)
         tracker.predict(t, rotation.exp(angle), float(rng.choice([0.0, 1e-6, 1e-2])))
-        place = np.where(
-            rng.random((TARGETS, 1)) < 0.002, rng.uniform([0.0, 0.0], [640.0, 480.0], (TARGETS, 2)), place
-        ) + rng.normal(0.0, 2.0, (TARGETS, 2))
+        gone, anew = rng.random((TARGETS, 1)) < 0.002, rng.uniform([0.0, 0.0], [640.0, 480.0], (TARGETS, 2))
+        place = np.where(gone, anew, place) + rng.normal(0.0, 2.0, (TARGETS, 2))
         tracker.update(_scan(t if rng.random() < 0.99 else t - 1.0, place, rng))
         tracks = (*tracker.tracks, *tracker.smoothed, *tracker.at(t + 0.1, rotation.exp(angle)))
         seen += len(tracks)
-        finite, positive, probability = _faults(tracks)
-        not_finite, not_positive = not_finite + finite, not_positive + positive
-        not_a_probability += probability
+        faults += _faults(tracks)
         if 10 * (k + 1) // scans > len(resident_mb):
             gc.collect()  # what waits for its collector is no leak
             resident_mb.append(rss_mb())
             blocks.append(sys.getallocatedblocks())
-    faults = (not_finite, not_positive, not_a_probability)
-    return Endurance(tracker_name, scans, seen, *faults, resident_mb, blocks)
+    return Endurance(tracker_name, scans, seen, *faults.tolist(), resident_mb, blocks)
 
 
 def _scan(t: float, place: Array, rng: np.random.Generator) -> Scan:
@@ -166,4 +162,3 @@ def _page(rows: list[Endurance]) -> str:
 BENCH = Benchmark(
     NAME, _measured, _page, options=(amount("--scans", 1_000_000, 4_000, "in all"),), record=_record
 )
-add_arguments, run = BENCH.add_arguments, BENCH.run

@@ -11,10 +11,12 @@ import copy
 import math
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
+from swarmtrack.benchmarks.figures import spent_s
 from swarmtrack.benchmarks.trackers.play import MakePlayer, Player, make_tracker
 from swarmtrack.benchmarks.trackers.scenes import Scene, Sensor
 from swarmtrack.geometry.camera import PinholeCamera
@@ -139,14 +141,13 @@ def laid_out(layout: str, n: int) -> tuple[Scene, Array]:
     else:
         side = math.ceil(math.sqrt(n))
         points = 100.0 + 100.0 * np.stack(np.divmod(np.arange(n), side), axis=1)
-    camera = PinholeCamera(800.0, 800.0, 500.0, 500.0, 1000, 1000)
     scene = Scene(
         name=f"{layout}_{n}",
         family="timing",
         about="",
         motion=lambda rng: lambda t: np.tile(points, (len(t), 1, 1)),
         sensor=Sensor(sigma_px=NOISE_PX, p_detection=0.95),
-        camera=camera,
+        camera=PinholeCamera(800.0, 800.0, 500.0, 500.0, 1000, 1000),
     )
     return scene, points
 
@@ -165,21 +166,15 @@ def at_cost(tracker: str, tracks: int, *, repeats: int = 200) -> Cost:
     player = make_tracker(scene, tracker)
     player.initiate(0.0, points)
     _show(player, PAPER_STEP_S, points)
-    spent = []
-    for _ in range(repeats + 3):
-        begin = time.thread_time()
-        player.at(PAPER_STEP_S + 0.05, PSEUDO_TURN, 1e-6)
-        spent.append(1e3 * (time.thread_time() - begin))
-    spent = spent[3:]
+    read = partial(player.at, PAPER_STEP_S + 0.05, PSEUDO_TURN, 1e-6)
+    spent = [1e3 * s for s in spent_s(read, repeats, time.thread_time)]
     return Cost(tracker, "at", tracks, 0, float(np.median(spent)), min(spent), repeats, tracks)
 
 
 def events_of(targets: int, detections: int) -> int:
     """Joint events where every gate holds every detection: Σ_k C(n, k) C(m, k) k!."""
-    return sum(
-        math.comb(targets, k) * math.comb(detections, k) * math.factorial(k)
-        for k in range(min(targets, detections) + 1)
-    )
+    ks = range(min(targets, detections) + 1)
+    return sum(math.comb(targets, k) * math.comb(detections, k) * math.factorial(k) for k in ks)
 
 
 def enumeration(targets: int, detections: int, timed: tuple[int, int] = (6, 8)) -> Enumeration:

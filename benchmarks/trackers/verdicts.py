@@ -69,12 +69,9 @@ def _in_words(ratio: Interval) -> str:
 
 def _counts(cells: Cells, tracker: str, scenes: Sequence[str]) -> tuple[int, int, int]:
     """Runs in these scenes, swaps and losses."""
-    own = [cells[name, tracker] for name in scenes]
-    swaps, lost = (
-        sum(round(cell[fraction] * cell["runs"]) for cell in own)
-        for fraction in ("swap_fraction", "lost_fraction")
-    )
-    return sum(cell["runs"] for cell in own), swaps, lost
+    own = [(cells[name, tracker], cells[name, tracker]["runs"]) for name in scenes]
+    swaps, lost = (sum(round(c[of] * runs) for c, runs in own) for of in ("swap_fraction", "lost_fraction"))
+    return sum(runs for _, runs in own), swaps, lost
 
 
 def _worst(ratios: Mapping[str, Interval]) -> str:
@@ -106,11 +103,8 @@ def _published(tracker: str) -> dict[str, float]:
     """Of the filter of the same name; the default tracker has to beat the best of each."""
     if tracker != "mbm":
         return PUBLISHED_RMSE_PX.get(tracker, {})
-    best: dict[str, float] = {}
-    for figures in PUBLISHED_RMSE_PX.values():
-        for name, value in figures.items():
-            best[name] = min(value, best.get(name, math.inf))
-    return best
+    named = dict.fromkeys(name for figures in PUBLISHED_RMSE_PX.values() for name in figures)
+    return {n: min(figures[n] for figures in PUBLISHED_RMSE_PX.values() if n in figures) for n in named}
 
 
 def _crossings(tracker: str, cells: Cells, played: Played) -> Said:
@@ -165,13 +159,8 @@ def _motion(tracker: str, cells: Cells, played: Played, late_difference: Mapping
 
 
 def _told_wrong(tracker: str, cells: Cells, played: Played) -> Said:
-    wrong = {
-        scene.name: scene.draws
-        for scene in SCENES.values()
-        if scene.family == "told_wrong"
-        and (scene.name, tracker) in cells
-        and (scene.draws, tracker) in played
-    }
+    wrongs = {scene.name: scene.draws for scene in SCENES.values() if scene.family == "told_wrong"}
+    wrong = {n: right for n, right in wrongs.items() if (n, tracker) in cells and (right, tracker) in played}
     if not wrong:
         return
     ratios = {

@@ -326,10 +326,11 @@ def test_scores_are_the_same_for_any_number_of_jobs():
     assert alone["mixedB", "agile"][0].rmse_px != alone["mixedB", "kalman"][0].rmse_px
 
 
-def test_the_command_leaves_a_plain_list_a_page_and_plots(tmp_path, capsys):
+def test_the_command_leaves_rows_a_page_and_plots(tmp_path, capsys):
     command = ["bench", "trackers", "--out", str(tmp_path), "--runs", "2", "--jobs", "1"]
     assert swarmtrack.main([*command, "--scene", "noise.75", "latency_steady", "--tracker", "kalman"]) == 0
-    rows = json.loads((tmp_path / "trackers.json").read_text())
+    result = json.loads((tmp_path / "trackers.json").read_text())
+    rows = result["rows"]
     assert {(row["scene"], row["tracker"]) for row in rows} >= {
         ("noise.75", "kalman"),
         ("noise.75", "oracle_cv"),
@@ -345,7 +346,7 @@ def test_the_command_leaves_a_plain_list_a_page_and_plots(tmp_path, capsys):
     page = (tmp_path / "trackers.md").read_text()
     assert "## What must hold" in page
     assert "kalman" in page
-    assert json.loads((tmp_path / "trackers_machine.json").read_text())["machine"]["cores"]
+    assert result["machine"]["cores"]
     assert "What must hold" in capsys.readouterr().out
 
 
