@@ -36,8 +36,9 @@ USUAL, QUICK = (20.0, 15.0, (3, 10, 30)), (8.0, 8.0, (3, 10))
 
 
 def _measured(args: argparse.Namespace) -> dict[str, Any]:
-    seconds, size_seconds, sizes = QUICK if args.quick else USUAL
-    names, sizes = (args.scenarios, ()) if args.scenarios else (SCENARIOS, sizes)
+    seconds, size_seconds, teams = QUICK if args.quick else USUAL
+    names: Sequence[str] = args.scenarios or SCENARIOS
+    sizes: Sequence[int] = () if args.scenarios else teams
     with report.progress("swarms", len(names) * args.seeds + len(sizes)) as advance:
         lost: list[str] = []
 

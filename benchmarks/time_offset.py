@@ -205,7 +205,8 @@ def _play(sensed: Sensed, offset_s: float, seconds: float) -> Run:
                 clock.add_scan(stamp, Scan(exposure, camera.undistort(what.centre)), camera)
             case None:
                 judged.append(_judge(clock, bias, offset_s, sensed.bias))
-    return Run(offset_s, *np.array(judged).T, sensed.limit_s)
+    errors, sigmas, worst, rms, bias_sigmas = np.array(judged).T
+    return Run(offset_s, errors, sigmas, worst, rms, bias_sigmas, sensed.limit_s)
 
 
 def _judge(clock: CameraClock, gyro_bias: GyroBias, offset_s: float, truth: Array) -> tuple[float, ...]:

@@ -234,7 +234,8 @@ class Viewer:
         now = time.monotonic()
         seconds = now - self._began
         waited = max(self._longest_wait, now - self._state_at)
-        window = ViewerWindow(*(n / seconds for n in (self._states, self._views, 1e-3 * self._bytes)), waited)
+        states, views, kilobytes = (n / seconds for n in (self._states, self._views, 1e-3 * self._bytes))
+        window = ViewerWindow(states, views, kilobytes, waited)
         self._states = self._views = self._bytes = 0
         self._began, self._longest_wait = now, 0.0
         return window

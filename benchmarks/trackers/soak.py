@@ -86,7 +86,8 @@ def endure(tracker_name: str, scans: int, seed: int = 0) -> Endurance:
             gc.collect()  # what waits for its collector is no leak
             resident_mb.append(rss_mb())
             blocks.append(sys.getallocatedblocks())
-    return Endurance(tracker_name, scans, seen, *faults.tolist(), resident_mb, blocks)
+    finite, positive, probability = faults.tolist()
+    return Endurance(tracker_name, scans, seen, finite, positive, probability, resident_mb, blocks)
 
 
 def _scan(t: float, place: Array, rng: np.random.Generator) -> Scan:
