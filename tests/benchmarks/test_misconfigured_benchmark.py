@@ -14,7 +14,7 @@ def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(mo
     assert flight.later.correct == 1.0
     assert flight.falsely == 0
     row = {"name": "nothing", **misconfigured.summary([flight])}
-    assert report.table_of(misconfigured.BENCH.columns, [row]).endswith("| – | 0 of 0 | –, – | 0 |")
+    assert report.table_of(misconfigured.BENCH.columns, [row]).endswith("| – | 0 of 0 | –, – | 0 | 100.0 |")
 
 
 def test_one_posterior_names_drones_on_each_others_pads_and_they_say_so(monkeypatch):
