@@ -8,6 +8,7 @@ import importlib
 import pickle
 
 from support.places import ROOT
+from support.sources import tree
 from swarmtrack.errors import ConfigError, SwarmtrackError
 
 
@@ -22,7 +23,7 @@ def error_classes():
                 continue  # symbolic links
             module = ".".join(below.with_suffix("").parts)
             module = module if folder == "swarmtrack" else f"swarmtrack.{module}"
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            for node in ast.walk(tree(path)):
                 if isinstance(node, ast.ClassDef):
                     bases[node.name] = (
                         module,

@@ -9,6 +9,7 @@ from collections import Counter, defaultdict
 from pathlib import Path
 
 from support.places import ROOT
+from support.sources import tree
 
 LIBRARY = ROOT / "swarmtrack"
 EXEMPT = {LIBRARY / "relative" / name for name in ("gates.py",)}
@@ -26,10 +27,10 @@ BARE = {
 UNIT = re.compile(r"_(S|MS|US|M|PX|PX2|RAD|DEG|HZ|M_S|M_S2|RAD_S|PER_S|BYTES)$")
 
 
-def constants_of(source: str) -> list[str]:
+def constants_of(module: ast.Module) -> list[str]:
     """Upper-case names that a module defines at its head; a single letter is a type variable."""
     found = []
-    for node in ast.parse(source).body:
+    for node in module.body:
         targets = (
             node.targets
             if isinstance(node, ast.Assign)
@@ -47,13 +48,13 @@ def modules_of_each_constant() -> dict[str, list[Path]]:
     found = defaultdict(list)
     for path in sorted(LIBRARY.rglob("*.py")):
         if "identity" not in path.relative_to(LIBRARY).parts and path not in EXEMPT:
-            for name in constants_of(path.read_text(encoding="utf-8")):
+            for name in constants_of(tree(path)):
                 found[name].append(path.relative_to(ROOT))
     return found
 
 
 def test_the_search_finds_constants_alone_in_tuples_and_annotated():
-    assert constants_of("A_B = 1\nC_D, E_F = 1, 2\nG_H: int = 3\nT = 4\n_OWN = 5\nword = 6\n") == [
+    assert constants_of(ast.parse("A_B = 1\nC_D, E_F = 1, 2\nG_H: int = 3\nT = 4\n_OWN = 5\nword = 6\n")) == [
         "A_B",
         "C_D",
         "E_F",
@@ -82,7 +83,7 @@ def test_every_constant_of_a_table_is_used():
     tables = [path for path in code if path.name in ("priors.py", "limits.py", "margins.py")]
     words = Counter(re.findall(r"\b[A-Z][A-Z0-9_]+\b", "\n".join(code.values())))
     unused = {
-        name: path.parent.name for path in tables for name in constants_of(code[path]) if words[name] < 2
+        name: path.parent.name for path in tables for name in constants_of(tree(path)) if words[name] < 2
     }
     assert len(tables) > 8
     assert not unused

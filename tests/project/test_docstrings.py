@@ -9,6 +9,7 @@ import re
 import pytest
 
 from support.places import ROOT
+from support.sources import tree
 
 PACKAGE = ROOT / "swarmtrack"
 OUTSIDE = ("agents", "benchmarks")  # links: the programs and benchmarks beside the package
@@ -62,7 +63,7 @@ def found_in(place):
         f"{path.relative_to(PACKAGE)}: {name}: {', '.join(what)}"
         for path in MODULES
         if place_of(path) == place
-        for name, text in public_docstrings(ast.parse(path.read_text(encoding="utf-8")))
+        for name, text in public_docstrings(tree(path))
         if (what := refused(text))
     ]
 

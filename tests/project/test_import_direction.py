@@ -8,6 +8,7 @@ from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+from support import sources
 from support.places import ROOT
 
 # From the bottom up: a module may import from its own layer and from those before it.
@@ -85,9 +86,8 @@ def modules() -> dict[str, Path]:
 MODULES = modules()
 
 
-@cache
 def tree(name: str) -> ast.Module:
-    return ast.parse(MODULES[name].read_text(encoding="utf-8"))
+    return sources.tree(MODULES[name])
 
 
 @cache
@@ -272,7 +272,7 @@ def test_what_counts_as_pure_is_in_the_standard_library():
 def test_tests_take_what_they_share_from_support():
     rooms = {path.name for path in (ROOT / "tests").iterdir() if path.is_dir()} - {"support"}
     for path in (ROOT / "tests").rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in ast.walk(sources.tree(path)):
             taken = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             taken += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             assert not {name.split(".")[0] for name in taken} & rooms, f"{path.relative_to(ROOT)}: {taken}"

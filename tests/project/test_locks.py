@@ -12,6 +12,7 @@ from typing import NamedTuple
 import pytest
 
 from support.places import ROOT
+from support.sources import tree
 from swarmtrack.agents.main import main
 
 requirements = pytest.importorskip("packaging.requirements", reason="packaging is in the locks")
@@ -135,7 +136,7 @@ def test_both_locks_say_how_they_are_made():
 
 def imported_at_its_head(path: Path) -> set[str]:
     found = set()
-    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+    for node in tree(path).body:
         if isinstance(node, ast.Import):
             found |= {alias.name.split(".")[0] for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
@@ -145,13 +146,13 @@ def imported_at_its_head(path: Path) -> set[str]:
 
 def test_a_module_imports_at_its_head_only_what_flies():
     """All but training, and two that need an extra: their commands ask for it first."""
-    homes = metadata.packages_distributions()
+    homes, flies = metadata.packages_distributions(), names(FLY)
     for root in (ROOT / "swarmtrack", ROOT / "agents", ROOT / "benchmarks"):
         for path in root.rglob("*.py"):
             if "training" in path.parts or path.match("replay/plot.py") or path.match("trackers/peers.py"):
                 continue
             for module in imported_at_its_head(path) - set(sys.stdlib_module_names) - {PROJECT["name"]}:
-                assert {canonical(home) for home in homes.get(module, [module])} & names(FLY), (path, module)
+                assert {canonical(home) for home in homes.get(module, [module])} & flies, (path, module)
 
 
 @pytest.mark.parametrize(

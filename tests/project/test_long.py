@@ -3,17 +3,18 @@
 import ast
 
 from support.places import ROOT
+from support.sources import tree
 
 
 def reasons() -> list[tuple[str, str | None]]:
     """(place, reason) of every use of the marker; None where it has no reason."""
     found: list[tuple[str, str | None]] = []
     for path in sorted((ROOT / "tests").rglob("*.py")):
-        tree = ast.parse(path.read_text(encoding="utf-8"))
-        called = {id(node.func): node for node in ast.walk(tree) if isinstance(node, ast.Call)}
+        nodes = list(ast.walk(tree(path)))
+        called = {id(node.func): node for node in nodes if isinstance(node, ast.Call)}
         found += [
             (f"{path.relative_to(ROOT)}:{node.lineno}", reason(called.get(id(node))))
-            for node in ast.walk(tree)
+            for node in nodes
             if isinstance(node, ast.Attribute) and ast.unparse(node) == "pytest.mark.long"
         ]
     return found

@@ -4,6 +4,7 @@ import ast
 from collections import defaultdict
 
 from support.places import ROOT
+from support.sources import tree
 
 PACKAGE = ROOT / "swarmtrack"
 
@@ -15,7 +16,7 @@ def test_no_class_name_stands_twice():
         module = path.relative_to(PACKAGE)
         if module.parts[0] in ("agents", "benchmarks"):
             continue
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(tree(path)):
             if isinstance(node, ast.ClassDef):
                 where[node.name].append(f"{module}:{node.lineno}")
     assert len(where) > 300
