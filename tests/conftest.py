@@ -26,7 +26,10 @@ from support.places import SHARED
 # A busy machine may take any time over an example. The same examples each time: what stops a change is that change, not
 # luck. To look for new ones: pytest --hypothesis-profile=exploring
 settings.register_profile("exploring", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("patient", settings.get_profile("exploring"), derandomize=True, database=None)
+# Fifty examples, not Hypothesis's hundred: they are the same in each run, and `exploring` draws a hundred new ones.
+settings.register_profile(
+    "patient", settings.get_profile("exploring"), derandomize=True, database=None, max_examples=50
+)
 settings.load_profile("patient")
 
 # What a script starts in its background ignores Ctrl-C, and so would every program that a test starts.
@@ -79,6 +82,8 @@ ALONE = (
     "outputs/test_pilot_notices.py",
 )
 SOCKETS = (
+    "diagnosis/test_advice.py::test_who_follows",
+    "diagnosis/test_autopilot_limits.py::test_config_check_asks",
     "lab/swarm/",
     "monitor/test_entrance.py",
     "security/test_security.py",
@@ -96,11 +101,10 @@ QUEUES = {"team": TEAM, "alone": ALONE, "sockets": SOCKETS}  # in the order in w
 
 
 def queue_of(nodeid: str) -> str:
-    """The queue of a live test; of one that computes, its file."""
+    """The queue of a live test; of one that computes, its file, or the room whose files share what they parse."""
     below = nodeid.removeprefix("tests/")
-    return next(
-        (name for name, places in QUEUES.items() if below.startswith(places)), below.partition("::")[0]
-    )
+    alone = "project" if below.startswith("project/") else below.partition("::")[0]
+    return next((name for name, places in QUEUES.items() if below.startswith(places)), alone)
 
 
 @pytest.hookimpl(wrapper=True)

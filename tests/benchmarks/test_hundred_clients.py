@@ -17,21 +17,18 @@ from swarmtrack.transport.settings import Mode
 SESSIONS = 6
 
 
-@pytest.mark.parametrize("mode", [Mode.PEER, Mode.CLIENT])
-async def test_everybody_knows_everybody_in_a_mesh_and_through_two_routers(mode: Mode) -> None:
-    outcome = await hundred_clients.measure(Team(SESSIONS, mode))
-    print(f"\n  {outcome}", end="")
-    assert outcome["complete"] == SESSIONS
-    assert 0 < outcome["announcement_bytes"] < 300
-    # Its own, and a few puts for all that ask in the rush of a start; then hardly anything but keep-alives.
-    assert 1 <= outcome["announcements_sent_per_session"] <= 4
-    assert outcome["idle_bytes_s_per_session"] <= 200
-    assert outcome["bytes_until_known_per_session"] > (SESSIONS - 1) * outcome["announcement_bytes"]
-    assert len(outcome["router_rss_mb"]) == (2 if mode == Mode.CLIENT else 0)
-
-
-def test_the_table_is_made_from_the_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_everybody_knows_everybody_in_a_mesh_and_through_two_routers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(hundred_clients, "QUICK", (Team(SESSIONS, Mode.PEER), Team(SESSIONS, Mode.CLIENT)))
     assert swarmtrack.main(["bench", "clients", "--quick", "--out", str(tmp_path)]) == 0
-    assert "10 clients, 2 routers" in capsys.readouterr().out
-    result = json.loads((tmp_path / "clients.json").read_text())
-    assert [(team["sessions"], team["complete"]) for team in result["teams"]] == [(3, 3), (10, 10)]
+    assert f"{SESSIONS} clients, 2 routers" in capsys.readouterr().out
+    mesh, routed = json.loads((tmp_path / "clients.json").read_text())["teams"]
+    for outcome in (mesh, routed):
+        assert (outcome["sessions"], outcome["complete"]) == (SESSIONS, SESSIONS)
+        assert 0 < outcome["announcement_bytes"] < 300
+        # Its own, and a few puts for all that ask in the rush of a start; then hardly anything but keep-alives.
+        assert 1 <= outcome["announcements_sent_per_session"] <= 4
+        assert outcome["idle_bytes_s_per_session"] <= 200
+        assert outcome["bytes_until_known_per_session"] > (SESSIONS - 1) * outcome["announcement_bytes"]
+    assert [len(outcome["router_rss_mb"]) for outcome in (mesh, routed)] == [0, 2]

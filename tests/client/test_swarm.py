@@ -27,7 +27,7 @@ from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import NetworkSection
 from swarmtrack.errors import KeysError, TransportError
 from swarmtrack.messages import RangeReport
-from swarmtrack.transport import topology
+from swarmtrack.transport import topology, zenoh_config
 from swarmtrack.transport.base import Kind
 from swarmtrack.transport.settings import NetworkSettings
 from swarmtrack.transport.zenoh_speaker import ZenohSpeaker
@@ -147,7 +147,8 @@ async def test_a_drone_that_is_not_there_is_told_from_a_team_that_is_not(team):
             await first(swarm.tracks(7, patience_s=0.1))
 
 
-async def test_a_router_that_does_not_answer_is_an_error_at_once(team, tmp_path):
+async def test_a_router_that_does_not_answer_is_an_error_at_once(team, tmp_path, monkeypatch):
+    monkeypatch.setattr(zenoh_config, "CLIENT_CONNECT_MS", 200)
     router = free_addresses(1)[0]
     file = tmp_path / "team.toml"
     file.write_text(f'[network]\nteam = "{team}"\ntopology = "routers"\nrouters = ["{router}"]\n')
@@ -362,7 +363,7 @@ async def test_the_recorder_writes_csv_and_numpy(team, tmp_path):
     name = tmp_path / "flight"
     async with speaking(network(team)):
         code, said, error = await ran(
-            str(EXAMPLES / "to_csv.py"), str(name), "--team", team, "--seconds", "8"
+            str(EXAMPLES / "to_csv.py"), str(name), "--team", team, "--seconds", "4"
         )
     assert (code, error) == (0, "")
     assert "rows in" in said

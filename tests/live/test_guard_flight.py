@@ -16,17 +16,30 @@ ZERO_WITHIN_S, SILENT_AFTER_S = 1.2, 2.5
 
 
 @pytest.mark.parametrize(
-    "case",
+    "cases",
     [
+        ("stopped", "frozen"),
         pytest.param(
-            case,
-            marks=() if case in ("stopped", "frozen") else pytest.mark.long("the other ends of an agent"),
-        )
-        for case in CASES
+            tuple(case for case in CASES if case not in ("stopped", "frozen")),
+            marks=pytest.mark.long("the other ends of an agent"),
+        ),
     ],
+    ids=", ".join,
 )
-async def test_whatever_becomes_of_an_agent_its_drone_stops_and_is_let_go(case):
-    flight = await fly(case, seed=1)
+async def test_whatever_becomes_of_an_agent_its_drone_stops_and_is_let_go(cases):
+    """Two drones fly at once: more would keep each other from the cores."""
+    for pair in batched(cases, 2):
+        async with asyncio.TaskGroup() as tasks:
+            flights = {case: tasks.create_task(fly(case, seed=1)) for case in pair}
+        for case, flight in flights.items():
+            assert_stopped(case, flight.result())
+
+
+def batched(cases, size):
+    return [cases[i : i + size] for i in range(0, len(cases), size)]
+
+
+def assert_stopped(case, flight):
     if case.startswith("guard-"):
         assert flight.last_s < ZERO_WITHIN_S
     else:

@@ -126,7 +126,7 @@ def judged(tmp_path_factory: pytest.TempPathFactory) -> Judged:
     configs = configs_of(folder, scenario, port, team)
     verdict = folder / "verdict.json"
     with simulated(port, scenario), flying(configs[1]):
-        alone = judge(port, team, "--patience", 6)
+        alone = judge(port, team, "--patience", 3)
         with flying(configs[2]):
             both = judge(port, team, "--json", verdict)
             pair(folder, announcement_bytes=10)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -25,8 +26,11 @@ from support.places import DOCS, ROOT
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
 from swarmtrack.agents import main as swarmtrack
+from swarmtrack.clock import SystemClock
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.score.swarm_verdict import BUSY
+from swarmtrack.lab.swarm.outside import NoTruth, Outside
+from swarmtrack.lab.swarm.world_file import load_world
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import FLIGHT_TOPIC, TRUTH_TOPIC, read_flight, read_truth
 
@@ -238,7 +242,9 @@ def test_an_origin_that_is_elsewhere_ends_it_at_once_and_says_where_the_drones_a
     assert {path.name for path in tmp_path.iterdir()} == {"flown.toml", "world.toml"}
 
 
-def test_links_that_nobody_is_at_are_each_named(tmp_path):
+@pytest.fixture
+def nobody_flies(tmp_path: Path) -> Iterator[tuple[Path, list[int]]]:
+    """A world file whose two truth links nobody is at, and their ports."""
     with socket.socket() as one, socket.socket() as other:
         ports = []
         for kept in (one, other):
@@ -253,12 +259,38 @@ def test_links_that_nobody_is_at_are_each_named(tmp_path):
         flown.write_text(PAIR, encoding="utf-8")
         world = tmp_path / "world.toml"
         world.write_text(world_file({"lat_deg": 47.0, "lon_deg": 8.0, "alt_m": 400.0}, drones, flown))
-        code, said, complained = fly(tmp_path, world)
+        yield world, ports
+
+
+def assert_each_is_named(ports: list[int], said: str) -> None:
+    for n, port in enumerate(ports, 1):
+        assert (
+            f"drone {n}: truth link tcp:127.0.0.1:{port} is silent: nothing listens at 127.0.0.1:{port}"
+            in said
+        )
+
+
+async def test_links_that_nobody_is_at_are_each_named_once_patience_ends(nobody_flies):
+    world, ports = nobody_flies
+    outside = Outside(load_world(world), SystemClock())
+    links = [asyncio.create_task(link.run()) for link in outside.links.values()]
+    try:
+        with pytest.raises(NoTruth) as refusal:
+            await outside.ready(patience_s=0.0)
+    finally:
+        for link in links:
+            link.cancel()
+        await asyncio.gather(*links, return_exceptions=True)
+    assert_each_is_named(ports, str(refusal.value))
+
+
+@pytest.mark.long("20 s of patience; the default run waits within its own process")
+def test_links_that_nobody_is_at_end_the_command(tmp_path, nobody_flies):
+    world, ports = nobody_flies
+    code, said, complained = fly(tmp_path, world)
     assert code == 1
     assert said.splitlines()[-1] == "FAILED"
-    for n, port in enumerate(ports, 1):
-        named = f"drone {n}: truth link tcp:127.0.0.1:{port} is silent: nothing listens at 127.0.0.1:{port}"
-        assert named in complained
+    assert_each_is_named(ports, complained)
     assert not living(tmp_path)
 
 
@@ -361,22 +393,27 @@ def test_the_pilots_of_the_docs_fly_a_formation(tmp_path, autopilots):
 # --- as the docs say ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("drone", "orders"),
-    [("1", ["176", "400", "22", "176"]), pytest.param("2", ["176", "400", "176"], id="px4")],
-)
-def test_the_script_of_the_docs_flies_a_simulated_autopilot(tmp_path, drone, orders):
+def test_the_script_of_the_docs_flies_both_simulated_autopilots(tmp_path):
     """docs/rehearse.md: arm, take off, go, land, by pymavlink on the ground station's port; not its waits."""
     page = (DOCS / "rehearse.md").read_text(encoding="utf-8")
     (script,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     scenario = (ROOT / "configs" / "scenarios" / "guided.toml").read_text(encoding="utf-8")
+    orders = {"1": ["176", "400", "22", "176"], "2": ["176", "400", "176"]}  # of ArduPilot and of PX4
     with others(tmp_path, scenario) as flying:
         path = tmp_path / "fly.py"
         path.write_text(script.replace("SECONDS = 8", "SECONDS = 3"), encoding="utf-8")
-        where = flying.drones[drone]["ground"]
-        flown = subprocess.run(
-            [sys.executable, str(path), where, drone],
-            capture_output=True, text=True, timeout=PATIENCE, check=False,
-        )  # fmt: skip
-    assert flown.returncode == 0, flown.stderr
-    assert flown.stdout.splitlines() == [f"{order} accepted" for order in orders]
+        pilots = {
+            drone: subprocess.Popen(
+                [sys.executable, str(path), flying.drones[drone]["ground"], drone],
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            )
+            for drone in orders
+        }  # fmt: skip
+        try:
+            ends = {drone: finish(pilot) for drone, pilot in pilots.items()}
+        finally:
+            for pilot in pilots.values():
+                pilot.kill()
+    for drone, (code, said, complained) in ends.items():
+        assert code == 0, complained
+        assert said.splitlines() == [f"{order} accepted" for order in orders[drone]]

@@ -12,7 +12,7 @@ from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE, FlightMode
 
 FROZEN_S = 3.0
 # s after it has gone on: zeros would take PX4 back within one.
-AFTER_S = 6.0
+AFTER_S = 3.0
 
 
 def since(sky, t):

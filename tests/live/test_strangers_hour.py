@@ -94,7 +94,11 @@ def actions_of(text: str) -> Iterator[str]:
 @pytest.mark.parametrize(
     "actions",
     [
-        pytest.param(False, id="commands"),
+        pytest.param(
+            False,
+            id="commands",
+            marks=pytest.mark.long("twenty processes; the default run compares the golden help texts"),
+        ),
         pytest.param(
             True, id="actions", marks=pytest.mark.long("forty processes more: the help of each action")
         ),
@@ -158,6 +162,7 @@ def test_mistakes_are_answered_in_a_sentence(stranger: Stranger, mistakes: dict[
         assert said in stranger.types(command, 1, 2), command
 
 
+@pytest.mark.long("fifteen processes; the commands of the docs run one after another in the default run")
 def test_a_config_from_the_first_question_to_the_doctor_and_keys(stranger: Stranger) -> None:
     said = stranger.types("swarmtrack config new --id 1 --start 0 0 0 90 --autopilot px4-uart")
     (following,) = re.findall(r"next: (swarmtrack .*)", said)
@@ -180,6 +185,9 @@ def test_a_config_from_the_first_question_to_the_doctor_and_keys(stranger: Stran
     stranger.types("swarmtrack config check drone-1.toml")
 
 
+@pytest.mark.long(
+    "a flight of its own; the default run listens to, records, replays and shows the flights that it has"
+)
 def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: Stranger) -> None:
     team = f"hour-{secrets.token_hex(4)}"
     command = (
@@ -214,6 +222,9 @@ def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: 
     stranger.reads("swarmtrack monitor --recording flight", page)
 
 
+@pytest.mark.long(
+    "once more from a folder of one's own; runtime/test_video_command.py has it in the default run"
+)
 @pytest.mark.shared
 @pytest.mark.skipif(not CLIP.is_file(), reason="../shared/data is absent")
 def test_a_video_of_ones_own(stranger: Stranger) -> None:

@@ -52,6 +52,7 @@ def test_any_image_fits_into_one_message(size):
     assert sent.width <= PICTURE_WIDTH
 
 
+@pytest.mark.long("of one camera; the default run has four")
 async def test_an_agent_says_video_only_while_somebody_listens() -> None:
     team = f"test-{secrets.token_hex(4)}"
     entries = {**ENTRIES, "network.team": team, **{f"camera.{key}": value for key, value in CAMERA.items()}}

@@ -350,6 +350,14 @@ class Team:
             f"each of {drones} names the others",
         )
 
+    async def until_settled(self, seconds: float) -> None:
+        """Until the last link that was made, by what any agent said, is so old."""
+        newest = max(self._announced(), default=0.0)
+        await asyncio.sleep(max(0.0, newest + seconds - time.monotonic()))
+
+    def _announced(self) -> list[float]:
+        return [t for agent in self.agents.values() for t in agent.times("announced itself")]
+
     def wrong(self, observers: Sequence[int], since: float, until: float) -> int:
         """How often one of these observers gave a wrong name."""
         return sum(self.looks_between(observers, since, until, Look.is_wrong))
