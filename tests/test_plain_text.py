@@ -95,7 +95,14 @@ def test_a_ground_station_is_sent_no_control_characters():
 
 
 @pytest.mark.parametrize(
-    "words", [HOSTILE, 100_000 * "x", 100_000 * "\N{SQUID}"], ids=["hostile", "long", "wide"]
+    "words",
+    [
+        pytest.param(HOSTILE, id="hostile"),
+        pytest.param(100_000 * "\N{SQUID}", id="wide"),
+        pytest.param(
+            100_000 * "x", id="long", marks=pytest.mark.long("as long as the wide one, and narrower")
+        ),
+    ],
 )
 def test_health_is_sent_each_second_whatever_the_camera_says(tmp_path, words):
     flight = SimulatedFlight(tmp_path)
@@ -114,7 +121,18 @@ def test_health_is_sent_each_second_whatever_the_camera_says(tmp_path, words):
 # --- what is printed ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1252", "koi8-r", "utf-8", "utf-16", "cp037"])
+@pytest.mark.parametrize(
+    "encoding",
+    [
+        "ascii",
+        "utf-16",
+        "cp037",
+        *(
+            pytest.param(name, marks=pytest.mark.long("a process for each encoding"))
+            for name in ("latin-1", "cp1252", "koi8-r", "utf-8")
+        ),
+    ],
+)
 def test_no_encoding_of_stdout_ends_a_program_with_a_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, encoding: str
 ) -> None:

@@ -160,7 +160,13 @@ def test_of_an_autopilot_of_another_kind_nothing_is_known_and_nothing_asked():
 
 
 @pytest.mark.shared
-@pytest.mark.parametrize(("told_s", "left_ms"), [(None, 0.0), (0.0, 11.25)])
+@pytest.mark.parametrize(
+    ("told_s", "left_ms"),
+    [
+        (None, 0.0),
+        pytest.param(0.0, 11.25, marks=pytest.mark.long("what is left where it is not made good")),
+    ],
+)
 async def test_a_recorded_ardupilot_s_gyro_then_agrees_with_its_own_attitude(told_s, left_ms):
     """The shift at which the gyro, integrated from one attitude to the next, fits these best."""
     if not RECORDED.exists():

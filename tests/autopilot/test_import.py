@@ -52,7 +52,9 @@ def files(folder: Path, log: bytes) -> list[str]:
     return [part for option, name in names.items() for part in (option, str(folder / name))]
 
 
-@pytest.mark.parametrize("step_deg", [0.0, 20.0, 150.0])
+@pytest.mark.parametrize(
+    "step_deg", [0.0, 150.0, pytest.param(20.0, marks=pytest.mark.long("a smaller step than the other"))]
+)
 def test_a_heading_that_is_reset_in_flight_is_said(tmp_path, capsys, step_deg):
     assert swarmtrack.main(["import", *files(tmp_path, flight(step_deg))]) == 0
     imported = capsys.readouterr().err

@@ -112,7 +112,18 @@ class Silent(Heard):
 # --- copies ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("late", "share"), [(0.004, 1.0), (0.2, 1.0), (1.3, 1.0), (12.0, 1.0), (1.3, 0.01)])
+@pytest.mark.parametrize(
+    ("late", "share"),
+    [
+        (0.004, 1.0),
+        (12.0, 1.0),
+        (1.3, 0.01),
+        *(
+            pytest.param(*of, marks=pytest.mark.long("delays between those of the default run"))
+            for of in [(0.2, 1.0), (1.3, 1.0)]
+        ),
+    ],
+)
 async def test_what_a_second_way_brings_again_is_dropped_counted_and_said(late, share, caplog):
     autopilot = FakeAutopilot(boot_at=60.0)
     async with Flight(TwoWays(autopilot, late, share)) as flight:
@@ -146,8 +157,18 @@ async def test_a_late_copy_of_a_heartbeat_does_not_engage_a_drone_that_its_pilot
     assert stages[-40:] == 40 * [False]
 
 
-@pytest.mark.parametrize("lost", [0.1, 0.4])
-@pytest.mark.parametrize("late", [0.004, 0.2, 1.3])
+@pytest.mark.parametrize(
+    ("late", "lost"),
+    [
+        (0.004, 0.4),
+        (0.2, 0.1),
+        (1.3, 0.4),
+        *(
+            pytest.param(*of, marks=pytest.mark.long("each delay and each loss is in the default run"))
+            for of in [(0.004, 0.1), (0.2, 0.4), (1.3, 0.1)]
+        ),
+    ],
+)
 async def test_two_ways_that_lose_frames_are_one_autopilot(late, lost):
     autopilot = FakeAutopilot(boot_at=60.0)
     engagement = PilotEngagement()
@@ -181,7 +202,13 @@ async def test_a_reboot_is_one_by_two_ways_that_lose_frames():
 # --- two under one ID --------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("boot_at", [-440.0, 59.3, 90.0])
+@pytest.mark.parametrize(
+    "boot_at",
+    [
+        59.3,
+        *(pytest.param(at, marks=pytest.mark.long("clocks that are farther apart")) for at in (-440.0, 90.0)),
+    ],
+)
 async def test_two_vehicles_of_one_id_are_said_and_the_first_one_s_clock_is_kept(boot_at):
     ours, other = FakeAutopilot(boot_at=60.0), FakeAutopilot(boot_at=boot_at)
     other.gyro, other.position = np.array((1.0, 1.0, 1.0)), np.array((50.0, 0.0, -20.0))
@@ -237,7 +264,14 @@ async def test_another_vehicle_of_our_id_ends_the_engagement():
         assert engagement.take_end() == "two autopilots send as system 1"
 
 
-@pytest.mark.parametrize(("kind", "system_id"), [("quadrotor", None), ("quadrotor", 1), ("tracker", None)])
+@pytest.mark.parametrize(
+    ("kind", "system_id"),
+    [
+        ("quadrotor", None),
+        ("tracker", None),
+        pytest.param("quadrotor", 1, marks=pytest.mark.long("once more with its ID told")),
+    ],
+)
 async def test_another_vehicle_that_comes_later_ends_the_engagement(kind, system_id):
     """For the first may have been a neighbour's."""
     ours, rival = FakeAutopilot(boot_at=60.0), Silent(2, QUADROTOR if kind == "quadrotor" else TRACKER)
@@ -696,9 +730,14 @@ def spoiled_quaternion(*numbers: float) -> Callable[[Any], None]:
 
 
 @pytest.mark.parametrize(
-    "numbers", [(math.nan,) * 4, (0.0,) * 4, (3.0, 0.0, 0.0, 0.0), (math.inf, 0.0, 0.0, 0.0)]
+    ("numbers", "comes_by_itself"),
+    [
+        ((math.nan,) * 4, True),
+        ((0.0,) * 4, False),
+        ((3.0, 0.0, 0.0, 0.0), True),
+        ((math.inf, 0.0, 0.0, 0.0), False),
+    ],
 )
-@pytest.mark.parametrize("comes_by_itself", [True, False])
 async def test_a_useless_quaternion_does_not_silence_the_euler_angles(numbers, comes_by_itself):
     autopilot = Spoiled(spoiled_quaternion(*numbers), boot_at=60.0)
     autopilot.q = np.array((math.cos(0.4), 0.0, 0.0, math.sin(0.4)))  # yaw 0.8

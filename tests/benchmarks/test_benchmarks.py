@@ -181,6 +181,9 @@ def test_an_agent_that_fails_is_quoted(tmp_path):
         real_clips.BENCH.publish(tmp_path / "out", data=tmp_path, set=["p_detection=7"])
 
 
+@pytest.mark.long(
+    "four seeds of a benchmark; tracking/test_smoothing.py and cameras/test_rig.py turn cameras in the default run"
+)
 def test_the_gyro_keeps_a_turning_observer_s_tracks_where_the_drones_are(tmp_path):
     """Must hold 4 in small; the benchmark itself flies a hundred seeds."""
     assert swarmtrack.main(["bench", "rotation", "--quick", "--out", str(tmp_path)]) == 0

@@ -27,6 +27,7 @@ def test_spans_that_the_shipped_second_stage_tells_are_as_wide_as_its_metadata_s
     assert "for the metadata" in (tmp_path / "box-width.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.long("draws and detects for seconds; what it measures changes with the detector alone")
 def test_boxes_of_the_detector_alone_are_loose(tmp_path):
     result = bench.BENCH.publish(tmp_path, seeds=1, second_stage="none", processes=1)
     said, drawn = Detector(second_stage="none").box_width, result["rows"]["drawn"]

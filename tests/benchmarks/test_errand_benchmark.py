@@ -135,6 +135,7 @@ class Expects:
         return None
 
 
+@pytest.mark.long("a rendered flight; the default run flies the others")
 def test_a_rendered_flight_is_flown_once_and_not_compared(monkeypatch) -> None:
     def short(p: Programme, seed: int) -> Scenario:
         scenario = scenario_of_seed(p, seed)

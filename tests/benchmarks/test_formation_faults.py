@@ -106,6 +106,9 @@ def test_in_a_partition_nobody_hears_anybody_and_then_they_meet_again():
         assert flight.times(drone, PeerArrived).max() >= 7.9
 
 
+@pytest.mark.long(
+    "27 s of flight; test_onboard.py and runtime/test_formation_pilot.py have reboots in the default run"
+)
 def test_an_autopilot_that_reboots_is_silent_and_its_drone_is_not_flown_until_it_is_engaged_again():
     flight = Told(Fault.REBOOT, 2, ends_s=22.0, lasts_s=100.0)
     whys = {round(sample.t, 1): sample.whys[0] for sample in flight.run()}
@@ -118,6 +121,7 @@ def test_an_autopilot_that_reboots_is_silent_and_its_drone_is_not_flown_until_it
     assert whys[21.0] is not Why.NOT_ENGAGED
 
 
+@pytest.mark.long("20 s of flight; formation/test_heights.py has drifting heights in the default run")
 def test_a_drift_of_the_height_is_believed_and_flown_down_and_the_other_is_honest():
     flight = Told(Fault.HEIGHT_DRIFT, 2, ends_s=15.0, lasts_s=100.0, speed_m_s=0.3)
     samples = {round(sample.t, 1): sample for sample in flight.run()}
@@ -130,6 +134,9 @@ def test_a_drift_of_the_height_is_believed_and_flown_down_and_the_other_is_hones
     assert flight.height_drift(1, 14.0) == flight.height_drift(2, 4.0) == 0.0
 
 
+@pytest.mark.long(
+    "17 s of flight; formation/test_divergence.py and test_formation.py push drones in the default run"
+)
 def test_a_push_is_flown_beside_what_is_told_and_its_drone_notices_and_holds():
     flight = Told(Fault.PUSHED, 2, ends_s=12.0, lasts_s=100.0, speed_m_s=1.0)
     samples = {round(sample.t, 1): sample for sample in flight.run()}
@@ -139,7 +146,7 @@ def test_a_push_is_flown_beside_what_is_told_and_its_drone_notices_and_holds():
     assert np.linalg.norm(moved[:2]) == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.parametrize("victim", [1, 2])
+@pytest.mark.parametrize("victim", [2, pytest.param(1, marks=pytest.mark.long("the leader's clock, too"))])
 def test_a_clock_that_is_hours_off_costs_the_time_on_the_way_and_no_more(victim):
     flight = Told(Fault.CLOCK, victim, begins_s=-np.inf, ends_s=4.0, lasts_s=np.inf)
     flight.run()
@@ -152,6 +159,7 @@ def test_a_clock_that_is_hours_off_costs_the_time_on_the_way_and_no_more(victim)
     assert CLOCK_OFF_S == 7200.0
 
 
+@pytest.mark.long("22 s of flight; formation/test_formation.py holds at leaps in the default run")
 def test_a_glitch_is_a_leap_of_the_own_place_and_back_and_its_drone_holds():
     # The filter resists for ten seconds, and for ten more after its end.
     flight = Told(Fault.GLITCH, 2, begins_s=-5.0, lasts_s=0.5, ends_s=17.0)
@@ -173,6 +181,7 @@ def test_a_glitch_that_is_shorter_than_a_filter_resists_changes_nothing():
     assert Why.LEAP not in {why for sample in flight.run() for why in sample.whys}
 
 
+@pytest.mark.long("35 s of flight; runtime/test_px4_failsafe.py has failsafes in the default run")
 def test_a_failsafe_takes_a_follower_up_and_home_and_it_is_engaged_no_more():
     flight = Told(Fault.RETURNS, 2, ends_s=30.0, lasts_s=100.0)
     samples = flight.run()

@@ -119,6 +119,7 @@ def test_groups_of_different_parts_are_different_whatever_their_numbers():
     assert len(Stated.joined([]).p) == 0
 
 
+@pytest.mark.long("two layouts and their plots; the default run compares processes")
 def test_the_benchmark_leaves_tables_and_plots_behind(tmp_path):
     layouts.BENCH.publish(tmp_path, layouts=2, processes=1)
     found = json.loads((tmp_path / "identity.json").read_text(encoding="utf-8"))

@@ -7,6 +7,7 @@ from swarmtrack.benchmarks import misconfigured, report
 ROWS = {row.name: row for row in misconfigured.rows()}
 
 
+@pytest.mark.long("flies for 12 s with four drones; the golden table has this row")
 def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(monkeypatch):
     monkeypatch.setitem(misconfigured.SECONDS, "crossing", 12.0)
     flight = misconfigured.fly(ROWS["nothing"], "crossing", 0.1, "mbm", 1, share_hz=7.0)
@@ -17,6 +18,9 @@ def test_where_nothing_is_wrong_all_names_are_right_and_nobody_says_otherwise(mo
     assert report.table_of(misconfigured.BENCH.columns, [row]).endswith("| – | 0 of 0 | –, – | 0 | 100.0 |")
 
 
+@pytest.mark.long(
+    "flies for 12 s with four drones; team/test_names_by_motion.py swaps pads in the default run"
+)
 def test_one_posterior_names_drones_on_each_others_pads_and_they_say_so(monkeypatch):
     monkeypatch.setitem(misconfigured.SECONDS, "crossing", 12.0)
     row = ROWS["pads, moved on by one"]

@@ -40,12 +40,14 @@ def test_who_hides_behind_another_keeps_its_name(seconds):
     assert score.correct > 0.95
 
 
+@pytest.mark.long("another flight of 10 s; team/test_strangers.py has strangers in the default run")
 def test_an_intruder_is_nobody_of_the_team():
     score = fly("intruder", 3, 10.0, 1).score
     assert score.wrong == 0.0
     assert score.correct > 0.97
 
 
+@pytest.mark.long("another flight of 16 s; live/test_proof.py has proofs in the default run")
 def test_motion_proves_the_names_of_a_team_that_tells_how_it_moves():
     score = recognition.fly("proof", 3, 16.0, "mbm", 1).score
     assert score.wrong == 0.0
@@ -57,6 +59,7 @@ def test_a_team_that_can_be_seen_apart_announces_itself_once():
     assert fly("hover-triangle", 3, 6.0, 1).announcements_per_drone == 1.0
 
 
+@pytest.mark.long("flies again; test_identity_layouts.py compares flights in the default run")
 def test_the_same_seed_flies_the_same_flight():
     one, other = (recognition.fly("crossing", 3, 1.5, "kalman", 5) for _ in range(2))
     assert one == other

@@ -62,7 +62,11 @@ def test_a_state_is_compared_with_the_truth_along_and_across_the_ray():
 
 
 @pytest.mark.parametrize(
-    "seconds", [10.0, pytest.param(25.0, marks=pytest.mark.long("the whole flight of the table"))]
+    "seconds",
+    [
+        pytest.param(10.0, marks=pytest.mark.long("whole flights; relative/test_states.py judges states")),
+        pytest.param(25.0, marks=pytest.mark.long("the whole flight of the table")),
+    ],
 )
 def test_in_a_flight_the_range_is_within_a_tenth_whatever_is_known(tmp_path, monkeypatch, seconds):
     monkeypatch.setitem(relative_flights.SECONDS, "crossing", seconds)

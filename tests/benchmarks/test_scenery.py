@@ -38,6 +38,7 @@ def test_a_track_on_a_hidden_drone_or_beside_the_picture_stands_on_nothing():
     assert watch.tracks == 10
 
 
+@pytest.mark.long("two rendered flights; live/test_agent.py sees rendered teammates in the default run")
 def test_a_flight_is_the_same_twice_and_its_drones_are_followed():
     short = scenery.Programme(seeds=1, seconds=1.2)
     first, again = (scenery.fly(short, "hover-triangle", 1) for _ in range(2))
@@ -83,6 +84,9 @@ def test_a_scenario_that_is_not_there_is_refused_before_any_flight(tmp_path):
         scenery.BENCH.publish(tmp_path, scenarios=["crossing", "moon"])
 
 
+@pytest.mark.long(
+    "rendered flights for a table of a benchmark; live/test_agent.py sees rendered teammates in the default run"
+)
 def test_the_table_counts_long_ones_and_the_pictures_show_them(tmp_path, monkeypatch):
     pytest.importorskip("matplotlib", reason="plots are an extra")
     houses = (

@@ -10,7 +10,7 @@ from swarmtrack.tracking import TRACKERS
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(
-    "scans", [40, pytest.param(1000, marks=pytest.mark.long("a thousand scans, not forty"))]
+    "scans", [20, pytest.param(1000, marks=pytest.mark.long("a thousand scans, not twenty"))]
 )
 @pytest.mark.parametrize("name", TRACKERS)
 def test_hostile_scans_leave_every_number_sound(name, scans):

@@ -306,6 +306,7 @@ def test_enumeration_counts_and_weighs_joint_events():
 # --- the command ---------------------------------------------------------------------------------------
 
 
+@pytest.mark.long("plays twice; benchmarks/test_identity_layouts.py compares processes in the default run")
 def test_scores_are_the_same_for_any_number_of_jobs():
     entrants = (
         Entrant("kalman", "kalman"),

@@ -83,10 +83,10 @@ def assert_alike(own: Flight, through: Flight) -> None:
 
 
 def test_the_verdict_through_the_truth_messages_is_that_of_the_scenario():
-    assert_alike(*flights("crossing", 1, 5.0))
+    assert_alike(*flights("crossing", 1, 3.0))
 
 
-@pytest.mark.long("20 s of two more flights; the default run has 5 s of one")
+@pytest.mark.long("20 s of two more flights; the default run has 3 s of one")
 @pytest.mark.parametrize(("name", "seed"), [("crossing", 2), ("fast-yaw", 1)])
 def test_over_twenty_seconds_of_several_flights_it_is_so_too(name, seed):
     own, through = flights(name, seed, 20.0)

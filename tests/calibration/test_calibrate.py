@@ -141,7 +141,7 @@ def test_too_few_turns_say_nothing():
 # ── by hand, through rendered images ─────────────────────────────────────────────────────────────────────────────────
 
 
-@pytest.mark.parametrize("seed", [101, 102])
+@pytest.mark.parametrize("seed", [101, pytest.param(102, marks=pytest.mark.long("another seed of the same"))])
 def test_a_turn_by_hand_gives_rotation_and_offset(seed):
     # A quarter of the benchmark's pixels: the claims of `swarmtrack bench calibration` hold with them too.
     minute = bench.hand_turned(seed, seconds=15.5, camera=bench.EYE.scaled(160, 120))
@@ -318,7 +318,16 @@ def test_a_drawn_board_is_found_where_its_corners_are(kind):
 
 
 @pytest.mark.parametrize(
-    ("kind", "model"), [("charuco", "radtan"), ("aprilgrid", "radtan"), ("charuco", "equidistant")]
+    ("kind", "model"),
+    [
+        ("aprilgrid", "radtan"),
+        ("charuco", "equidistant"),
+        pytest.param(
+            "charuco",
+            "radtan",
+            marks=pytest.mark.long("each board and each lens is in the default run"),
+        ),
+    ],
 )
 def test_a_camera_is_found_by_the_boards_it_was_shown(kind, model):
     shown = bench.board_shown(5, kind, model, views=9)

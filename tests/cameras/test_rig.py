@@ -352,6 +352,7 @@ def test_a_camera_that_is_set_apart_neither_gives_nor_takes_tracks():
 # --- what crossings tell of the mounting ---
 
 
+@pytest.mark.long("a benchmark's flight; the default run has seams that learn from crossings")
 def test_a_mounting_that_is_two_degrees_off_is_found_in_flight_and_no_track_is_lost_meanwhile():
     row = bench.Row("", 1.5, -10.0, 2.0, 1.0)
     flown = bench.fly(row, "mbm", 3)
@@ -430,6 +431,7 @@ def hover_in_the_overlap(off_deg, *, seconds, baseline=0.04, cameras=(0, 1), see
     return drone, off, math.sqrt((np.array(errors) ** 2).sum(axis=1).mean()), math.sqrt(np.mean(claimed))
 
 
+@pytest.mark.long("a minute of flight; the default run has what a seam learns of stays")
 def test_a_drone_that_stays_where_two_pictures_overlap_tells_how_they_are_turned():
     _, _, alone, _ = hover_in_the_overlap(2.0, seconds=20.0, cameras=(0,))
     drone, off, together, claimed = hover_in_the_overlap(2.0, seconds=40.0)
@@ -451,6 +453,7 @@ def test_cameras_that_look_twice_per_second_each_tell_it_as_well():
     assert together < 1.2 * claimed
 
 
+@pytest.mark.long("half a minute of hovering; the default run has what a seam learns of stays")
 def test_what_a_hovering_drone_tells_ends_with_how_well_its_distance_and_its_middle_are_known():
     sigmas = []
     for baseline in (0.0, 0.2):
@@ -503,6 +506,7 @@ def test_two_pictures_agree_about_a_target_before_the_mounting_is_known():
     assert seam.disagreement(7, 6.0) is None, "it has left"
 
 
+@pytest.mark.long("half a minute of flight; test_several_cameras.py turns a camera over in the default run")
 def test_a_camera_that_is_mounted_upside_down_is_said_and_the_others_go_on():
     poses = [looking(azimuth) for azimuth in (0.0, 80.0, 160.0)]
     rig = rig_of("mbm", *poses)

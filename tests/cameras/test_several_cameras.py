@@ -26,6 +26,15 @@ PLACES = {2: np.array([6.0, 1.0, -3.0]), 3: np.array([2.0, 7.0, -2.2]), 4: np.ar
 HERE = np.array([0.0, 0.0, -2.5])
 SAMPLES_PER_SCAN = 12
 ALL_ROUND = (0.0, 90.0, 180.0, 270.0)
+OF_ALL_TRACKERS = [
+    pytest.param(
+        name,
+        marks=()
+        if name in ("kalman", "mbm")
+        else pytest.mark.long("the default run has the simplest tracker and the one that flies"),
+    )
+    for name in TRACKERS
+]
 
 
 def looking(azimuth_deg, place=(0.0, 0.0, 0.0)):
@@ -149,7 +158,13 @@ class Flight:
 
 @pytest.mark.parametrize(
     "azimuths",
-    [(0.0,), (-40.0, 40.0), pytest.param(ALL_ROUND, marks=pytest.mark.long("four cameras, not two"))],
+    [
+        (-40.0, 40.0),
+        *(
+            pytest.param(azimuths, marks=pytest.mark.long("one and four cameras, not two"))
+            for azimuths in [(0.0,), ALL_ROUND]
+        ),
+    ],
 )
 def test_names_stay_with_their_drones_while_these_cross_from_camera_to_camera(azimuths):
     flight = Flight(azimuths)
@@ -203,6 +218,7 @@ def test_a_camera_that_is_upside_down_is_said_soon_and_the_others_go_on(azimuths
     assert np.mean(others) > 0.7
 
 
+@pytest.mark.long("half a minute of flight; the default run has the camera that does not fit")
 def test_a_camera_that_is_right_after_all_gives_names_again():
     flight = Flight((-40.0, 40.0))
     true = flight.poses[1]
@@ -261,15 +277,17 @@ def test_metres_are_from_the_first_camera_whichever_sees_the_teammate():
     assert found > 100
 
 
-@pytest.mark.parametrize("late", [0.08, 0.12])
+@pytest.mark.parametrize(
+    "late", [0.12, pytest.param(0.08, marks=pytest.mark.long("less late than in the default run"))]
+)
 def test_metres_are_as_good_where_one_camera_is_late(late):
     """Its scans come after those of the other that were exposed later."""
     sigmas = {}
     for seconds in (0.0, late):
         flight = Flight((-40.0, 40.0))
         flight.late[1] = seconds
-        flight.fly(0.0, 4.0)
-        flight.fly(0.3, 4.0)
+        flight.fly(0.0, 3.0)
+        flight.fly(0.3, 3.0)
         named = [entry for _, entry, _, _ in flight.entries(since=2.0) if isinstance(entry.identity, int)]
         placed = [entry.relative for entry in named if entry.relative is not None]
         assert len(placed) > 0.99 * len(named) > 100
@@ -277,7 +295,9 @@ def test_metres_are_as_good_where_one_camera_is_late(late):
     assert sigmas[late] < 1.1 * sigmas[0.0]
 
 
-@pytest.mark.parametrize("detector_hz", [16.7, 10.0])
+@pytest.mark.parametrize(
+    "detector_hz", [10.0, pytest.param(16.7, marks=pytest.mark.long("once more at another rate"))]
+)
 def test_a_report_of_sightings_tells_of_all_cameras(detector_hz):
     flight = Flight(ALL_ROUND, samples_per_scan=round(200.0 / detector_hz))
     flight.fly(0.0, 3.0)
@@ -290,8 +310,17 @@ def test_a_report_of_sightings_tells_of_all_cameras(detector_hz):
             assert sighting.direction @ away / np.linalg.norm(away) > math.cos(math.radians(1.5))
 
 
-@pytest.mark.parametrize("tracker", ["kalman", "mbm"])
-@pytest.mark.parametrize("late", [0.08, 0.2])
+@pytest.mark.parametrize(
+    ("tracker", "late"),
+    [
+        ("kalman", 0.08),
+        ("mbm", 0.2),
+        *(
+            pytest.param(*of, marks=pytest.mark.long("each tracker and each delay is in the default run"))
+            for of in [("kalman", 0.2), ("mbm", 0.08)]
+        ),
+    ],
+)
 def test_what_is_reported_of_a_late_camera_s_scan_has_a_variance(tracker, late):
     """The other camera's tracks have to be carried back to it."""
     flight = Flight((-40.0, 40.0), tracker=tracker)
@@ -340,7 +369,9 @@ def test_a_scan_waits_for_the_gyro_whichever_camera_it_is_of_and_those_that_wait
     assert times == sorted(times)
 
 
-@pytest.mark.parametrize("azimuths", [(0.0, 90.0), ALL_ROUND])
+@pytest.mark.parametrize(
+    "azimuths", [ALL_ROUND, pytest.param((0.0, 90.0), marks=pytest.mark.long("two cameras, not four"))]
+)
 def test_a_compass_that_is_25_degrees_off_is_doubted_and_names_nobody_wrongly(azimuths):
     flight = Flight(azimuths, compass=math.radians(25.0))
     flight.fly(0.0, 5.0)
@@ -353,7 +384,7 @@ def test_a_compass_that_is_25_degrees_off_is_doubted_and_names_nobody_wrongly(az
     assert flight.drone.self_doubt
 
 
-@pytest.mark.parametrize("tracker", TRACKERS)
+@pytest.mark.parametrize("tracker", OF_ALL_TRACKERS)
 def test_what_a_camera_showed_that_has_died_ends_within_a_second_while_the_others_go_on(tracker):
     flight = Flight((0.0, 90.0), tracker=tracker)
     flight.fly(0.0, 4.0)
@@ -372,7 +403,7 @@ def test_what_a_camera_showed_that_has_died_ends_within_a_second_while_the_other
     assert {entry.identity for entry in flight.drone.tracks(flight.t).tracks} == {2, 3}
 
 
-@pytest.mark.parametrize("tracker", TRACKERS)
+@pytest.mark.parametrize("tracker", OF_ALL_TRACKERS)
 def test_a_camera_that_is_stuck_does_not_hold_back_what_another_one_sees_too(tracker):
     flight = Flight((-20.0, 20.0), tracker=tracker)
     flight.fly(0.0, 3.0)

@@ -41,6 +41,9 @@ def detector() -> Detector:
     return Detector("default")
 
 
+SIZES = [(640, 512), (641, 359), (1280, 720), (320, 240)]
+
+
 # --- letterbox
 
 
@@ -57,8 +60,13 @@ def test_a_point_put_into_the_input_comes_back_where_it_was(width, height, scale
     assert np.abs(box.points_to_image(box.points_to_input(point)) - point).max() < 1e-9
 
 
-@pytest.mark.parametrize("size", [(640, 512), (641, 359), (1280, 720), (320, 240)])
-@pytest.mark.parametrize("scale", [0.5, 1.0, 1.5, 3.0])
+@pytest.mark.parametrize(
+    ("size", "scale"),
+    [
+        *((size, scale) for size in SIZES for scale in (0.5, 1.0, 1.5, 3.0) if scale * size[0] < 2000),
+        pytest.param((1280, 720), 3.0, marks=pytest.mark.long("pictures of 8 megapixels")),
+    ],
+)
 def test_pixels_land_where_the_mapping_says_to_a_hundredth_of_a_pixel(size, scale):
     """Smooth spots are resized for real; their centres of mass, mapped back, are where they were drawn.
 
@@ -162,7 +170,11 @@ def test_the_shipped_model_finds_rendered_drones_against_the_sky(detector, grey)
 
 @pytest.mark.shared
 @pytest.mark.parametrize(
-    ("name", "recall", "false_per_frame"), [("V_DRONE_106", 0.95, 1.2), ("composite_5_F", 0.9, 0.2)]
+    ("name", "recall", "false_per_frame"),
+    [
+        ("V_DRONE_106", 0.95, 1.2),
+        pytest.param("composite_5_F", 0.9, 0.2, marks=pytest.mark.long("another clip, of larger pictures")),
+    ],
 )
 def test_the_shipped_model_finds_the_drones_of_a_real_clip(detector, name, recall, false_per_frame):
     clip = TRACKS / f"{name}.mp4"
@@ -175,6 +187,7 @@ def test_the_shipped_model_finds_the_drones_of_a_real_clip(detector, name, recal
     assert seen["false_per_image"] < false_per_frame
 
 
+@pytest.mark.long("detects twice in a real clip; test_motion_cue.py has the cue itself in the default run")
 @pytest.mark.shared
 def test_on_a_real_clip_what_moved_is_found_more_surely_and_not_at_the_price_of_ghosts():
     clip = TRACKS / "V_DRONE_106.mp4"

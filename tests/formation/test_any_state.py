@@ -8,7 +8,9 @@ from swarmtrack.benchmarks.formation.any_states import Squeezes, Stories, closes
 from swarmtrack.formation.formation import Formation
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(k, marks=pytest.mark.long("a thousand stories more")) for k in range(1, 4))]
+)
 def test_a_command_is_always_finite_within_its_limits_and_the_same_again(seed):
     stories = Stories(seed)
     one, again = Formation(stories.parameters), Formation(stories.parameters)

@@ -8,7 +8,10 @@ from swarmtrack.formation.formation import Formation
 
 
 # 67 and 152: two for whom the slot lies in front of one who stands, about whom they turned for good.
-@pytest.mark.parametrize("seed", [0, 1, 67, 152])
+@pytest.mark.parametrize(
+    "seed",
+    [67, 152, *(pytest.param(seed, marks=pytest.mark.long("another seed of the same")) for seed in (0, 1))],
+)
 def test_followers_that_meet_wait_for_each_other_no_longer_than_ten_seconds_and_arrive(seed):
     met = meet(seed)
     assert met.waited < 10.0

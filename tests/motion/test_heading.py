@@ -62,8 +62,10 @@ def test_a_step_of_two_degrees_is_found_once_and_measured():
     assert [(pytest.approx(10.1, abs=0.1), pytest.approx(math.radians(-2.0), abs=1e-3))] == found
 
 
-@pytest.mark.parametrize("degrees", [60.0, -90.0, 150.0, 178.0, -178.0, 180.0])
-@pytest.mark.parametrize("rate", [0.0, 0.8])
+@pytest.mark.parametrize(
+    ("degrees", "rate"),
+    [(60.0, 0.8), (-90.0, 0.0), (150.0, 0.8), (178.0, 0.0), (-178.0, 0.8), (180.0, 0.0)],
+)
 def test_a_reset_is_measured_as_the_angle_that_it_is(degrees, rate):
     found = steps_of(
         lambda t: rotation.from_euler(0.2, -0.1, rate * t),
@@ -109,12 +111,16 @@ def test_the_kick_of_roll_into_an_acceleration_is_no_step():
 @pytest.mark.parametrize(
     "seconds", [50.0, pytest.param(240.0, marks=pytest.mark.long("four minutes, not one"))]
 )
-@pytest.mark.parametrize("noise", [0.001, 0.005])
+@pytest.mark.parametrize(
+    "noise", [0.005, pytest.param(0.001, marks=pytest.mark.long("a fifth of the noise"))]
+)
 def test_noise_is_no_step(noise, seconds):
     assert steps_of(lambda t: level(1.0), seconds=seconds, noise=noise) == []
 
 
-@pytest.mark.parametrize("pose_hz", [5.0, 50.0])
+@pytest.mark.parametrize(
+    "pose_hz", [5.0, pytest.param(50.0, marks=pytest.mark.long("ten times as many poses"))]
+)
 def test_a_gyro_that_is_off_and_one_of_the_wrong_scale_find_no_step(pose_hz):
     drifting = steps_of(lambda t: level(0.0), seconds=30.0, step=lambda t: 0.019 * t, pose_hz=pose_hz)
     yaw = turning(1.2, 3.5)

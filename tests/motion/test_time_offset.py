@@ -212,7 +212,7 @@ def test_a_camera_that_stands_still_or_turns_steadily_claims_nothing(rate):
 
 @pytest.mark.parametrize(
     "seeds",
-    [range(24), pytest.param(range(24, 100), marks=pytest.mark.long("more seeds, a narrower interval"))],
+    [range(12), pytest.param(range(12, 100), marks=pytest.mark.long("more seeds, a narrower interval"))],
 )
 def test_quiet_time_teaches_nothing_that_the_first_step_sideways_turns_into_a_wrong_offset(seeds):
     """Fifteen still seconds are explained by any offset; the roll into the first step comes with the very acceleration
@@ -224,7 +224,16 @@ def test_quiet_time_teaches_nothing_that_the_first_step_sideways_turns_into_a_wr
         assert all(abs(found.offset_s - offset) < 3.0 * found.sigma_s for found in sure)
 
 
-@pytest.mark.parametrize("begins", np.arange(5.0, 7.0, 0.25))
+@pytest.mark.parametrize(
+    "begins",
+    [
+        *np.arange(5.0, 7.0, 0.5),
+        *(
+            pytest.param(t, marks=pytest.mark.long("between those of the default run"))
+            for t in np.arange(5.25, 7.0, 0.5)
+        ),
+    ],
+)
 def test_what_one_manoeuvre_says_is_not_used_and_what_two_say_is(begins):
     """Whether a block of evidence ends before the turn, after it or within it."""
     once, _ = play(Glances(begins), 0.06, 12.0, seed=1)
@@ -456,6 +465,7 @@ def test_what_lies_beyond_the_search_is_unknown_and_changes_nothing():
     assert drone.cameras[0].clock.used_s == 0.0
 
 
+@pytest.mark.long("four flights for a table; the default run has such tables of other benchmarks")
 def test_the_benchmark_writes_what_it_found(tmp_path, monkeypatch):
     chosen = {name: time_offset.CONDITIONS[name] for name in ("fast-yaw", "standing still")}
     for name, value in (("CONDITIONS", chosen), ("FIRST", "fast-yaw"), ("SECONDS", 12.0)):

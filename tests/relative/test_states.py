@@ -178,7 +178,7 @@ def test_a_steady_flight_is_estimated_as_by_least_squares_over_all_of_it(seed, r
 )
 def test_what_is_stated_is_as_far_off_as_it_says(row, range_m):
     """Of 15 teammates: the mean NEES lies in the interval of as many flights with four independent instants each."""
-    flights = [bench.fly(range_m, bench.MODES[row], seed) for seed in (1, 2, 3)]
+    flights = [bench.fly(range_m, bench.MODES[row], seed) for seed in (1, 2)]
     mean = np.concatenate([flight.nees[7:].mean(axis=0) for flight in flights])
     assert np.isfinite(mean).all()
     n = 4 * len(mean)

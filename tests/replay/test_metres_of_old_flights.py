@@ -34,7 +34,13 @@ def at(rows, t):
 
 
 @pytest.mark.skipif(not FLIGHTS.exists(), reason="../shared/data is not here: no old recording")
-@pytest.mark.parametrize(("flight", "observer"), [("D_gps", 2), ("A_gps_decoy", 1)])
+@pytest.mark.parametrize(
+    ("flight", "observer"),
+    [
+        ("A_gps_decoy", 1),
+        pytest.param("D_gps", 2, marks=pytest.mark.long("another flight, twice as long")),
+    ],
+)
 def test_a_flight_of_a_real_autopilot_has_its_metres_right_and_no_more_sure_than_that(flight, observer):
     true = truth(FLIGHTS / flight / "truth.csv")
     (recording,) = recordings_below(FLIGHTS / flight / f"drone-{observer}")

@@ -556,11 +556,11 @@ def test_a_log_and_a_video_become_a_recording(tmp_path, capsys):
         "intrinsics = { fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }\n"
     )
     tlog = tmp_path / "begin.tlog"  # its first part: what is imported is read four times
-    tlog.write_bytes((DATA / "mavlink" / "ardupilot_sitl.tlog").read_bytes()[:1_000_000])
+    tlog.write_bytes((DATA / "mavlink" / "ardupilot_sitl.tlog").read_bytes()[:600_000])
     video = tmp_path / "short.avi"
     shorten(DATA / "drones_real" / "tracks" / "V_DRONE_106.mp4", video, frames=40)
     words = ["import", "--tlog", str(tlog), "--video", str(video), "--config", str(config)]
-    assert swarmtrack.main([*words, "--out", str(tmp_path / "rec"), "--offset", "20"]) == 0
+    assert swarmtrack.main([*words, "--out", str(tmp_path / "rec"), "--offset", "10"]) == 0
     assert "40 frames, " in capsys.readouterr().out
     recording = recordings_below(tmp_path / "rec" / "drone-5")[0]
     result = Replayer(recording, read_settings(recording)[0]).run()

@@ -182,7 +182,7 @@ async def fail(sky, kills, seconds, sticks_s, reads_first):
 
 
 @pytest.mark.parametrize(
-    "seeds", [range(2), pytest.param(range(2, 100), marks=pytest.mark.long("98 stories more"))]
+    "seeds", [range(1), pytest.param(range(1, 100), marks=pytest.mark.long("99 stories more"))]
 )
 async def test_after_a_failsafe_nobody_flies_again_without_a_change_of_the_pilots_intention(seeds):
     for seed in seeds:

@@ -2,6 +2,8 @@
 
 import math
 
+import pytest
+
 from support.observer import SCAN_S, Observer
 from swarmtrack.benchmarks.identity.recognition import PARTED, fly
 from swarmtrack.tracking import DEFAULT_TRACKER
@@ -9,6 +11,9 @@ from swarmtrack.tracking import DEFAULT_TRACKER
 SILENT_S, CROSSING_S, SWAPPED_S = 8.0, 10.0, 12.0
 
 
+@pytest.mark.long(
+    "11 s of flight of four; benchmarks/test_silent_benchmark.py has silent teams in the default run"
+)
 def test_two_that_are_silent_are_not_taken_for_one_that_speaks():
     """All four swing to and fro with about the same period: by some error of the own heading each fits each."""
     score = fly(PARTED, 4, 11.0, DEFAULT_TRACKER, seed=1).score

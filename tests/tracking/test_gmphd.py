@@ -183,7 +183,9 @@ def simulated(
     ("seeds", "within"),
     [(10, 0.05), pytest.param(30, 0.03, marks=pytest.mark.long("more seeds, a narrower interval"))],
 )
-@pytest.mark.parametrize("one_to_one", [True, False])
+@pytest.mark.parametrize(
+    "one_to_one", [True, pytest.param(False, marks=pytest.mark.long("the filter as Vo and Ma state it"))]
+)
 def test_the_weights_sum_to_the_number_of_targets(one_to_one, seeds, within):
     runs = np.array([simulated(seed, one_to_one=one_to_one) for seed in range(seeds)])
     expected, true = runs[:, :, 0], runs[:, :, 1]
@@ -353,7 +355,7 @@ def crossed(name, seed, speed=30.0, **parameters):
     ("runs", "kept"),
     [(20, 19), pytest.param(60, 58, marks=pytest.mark.long("more seeds, a narrower interval"))],
 )
-@pytest.mark.parametrize("speed", [30.0, 15.0])
+@pytest.mark.parametrize("speed", [30.0, pytest.param(15.0, marks=pytest.mark.long("at half the speed"))])
 def test_labels_stay_with_their_targets_through_a_crossing(speed, runs, kept):
     """One of 20 lost is up to 22 % (95 %); two of 60, up to 10 %."""
     assert sum(crossed("gmphd", seed, speed) for seed in range(runs)) >= kept

@@ -127,6 +127,7 @@ def test_who_is_who_at_a_crossing_is_in_doubt_for_a_while_and_then_right(runs):
     assert sum(kept) >= runs - 1
 
 
+@pytest.mark.long("fifty crossings; the default run has a crossing that is in doubt and then right")
 def test_who_decides_at_once_is_wrong_more_often():
     """A slower crossing, a dozen scans of one detection for two: the one most likely scan after scan is not enough."""
     wrong = {
@@ -421,8 +422,8 @@ def wander(tracker, seed, scans, check=lambda tracker: None):
 @pytest.mark.parametrize(
     ("hypotheses", "scans"),
     [
-        (20, 300),
-        (3, 200),
+        (20, 150),
+        (3, 150),
         *(
             pytest.param(*of, marks=pytest.mark.long("more seeds, a narrower interval"))
             for of in [(20, 1200), (3, 800)]
@@ -632,6 +633,7 @@ def test_who_flew_gently_until_now_is_still_followed_when_it_turns_hard():
     assert np.mean(levels) < 1.15 * np.mean(hard_only)
 
 
+@pytest.mark.long("six runs of a scene; the default run has gentle flight that turns hard")
 def test_gentle_flight_is_followed_closer_by_who_knows_that_there_is_such():
     levels, hard_only = (
         [play(SCENES["untold_slow_merged"], "mbm", told, run).rmse_px for run in range(3)]

@@ -58,7 +58,17 @@ def nis_over_expected(tracker):
 
 
 @pytest.mark.parametrize("seeds", [(0,), pytest.param((1, 2, 3), marks=pytest.mark.long("three seeds more"))])
-@pytest.mark.parametrize("sigma", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize(
+    "sigma",
+    [
+        0.5,
+        4.0,
+        *(
+            pytest.param(sigma, marks=pytest.mark.long("noise between that of the default run"))
+            for sigma in (1.0, 2.0)
+        ),
+    ],
+)
 def test_the_noise_of_detections_is_found_both_ways(sigma, seeds):
     for seed in seeds:
         tracker, _ = flown("mbm", seed, sigma=sigma)
@@ -66,8 +76,19 @@ def test_the_noise_of_detections_is_found_both_ways(sigma, seeds):
         assert 0.7 < nis_over_expected(tracker) < 1.4
 
 
-@pytest.mark.parametrize("sigma", [0.5, 1.0, 4.0])
-@pytest.mark.parametrize("name", ["kalman", "jpdaf", "gmphd"])
+@pytest.mark.parametrize(
+    ("name", "sigma"),
+    [
+        pytest.param(
+            name,
+            sigma,
+            marks=() if told else pytest.mark.long("each filter and each noise is in the default run"),
+        )
+        for k, name in enumerate(("kalman", "jpdaf", "gmphd"))
+        for i, sigma in enumerate((0.5, 1.0, 4.0))
+        for told in (k == i,)
+    ],
+)
 def test_so_it_is_by_filters_of_one_motion_model_that_were_told_the_motion(name, sigma):
     tracker, _ = flown(name, 0, sigma=sigma, acceleration_psd=TOLD_PSD)
     assert TOLD_SIGMA * tracker.measured_noise.detections == pytest.approx(sigma, rel=0.2)
@@ -84,7 +105,13 @@ def test_a_calmer_or_wilder_flight_is_no_noise_of_detections(psd):
     assert tracker.measured_noise.motion**2 == pytest.approx(psd / TOLD_PSD, rel=0.7)
 
 
-@pytest.mark.parametrize(("sigma", "psd"), [(0.5, 100.0), (3.0, 1000.0)])
+@pytest.mark.parametrize(
+    ("sigma", "psd"),
+    [
+        (0.5, 100.0),
+        pytest.param(3.0, 1000.0, marks=pytest.mark.long("another noise, another motion")),
+    ],
+)
 def test_tracks_then_know_how_wrong_they_are(sigma, psd):
     """NEES of the position over 2, of 6 targets and 7 flights: 99.9 % of right ones lie within 1 ± 0.51."""
     nees = []

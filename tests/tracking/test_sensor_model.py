@@ -309,7 +309,7 @@ def test_whatever_comes_what_is_usable_is_sound_and_the_rest_is_counted(scan):
 
 @pytest.mark.parametrize("name", TRACKERS)
 @given(scans=st.lists(odd_scans(), min_size=1, max_size=5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_whatever_comes_the_tracks_stay_sound(name, scans):
     tracker = create_tracker(name, camera=CAMERA, lag_s=0.2)
     tracker.initiate(0.0, np.array([[300.0, 200.0], [306.0, 203.0]]))

@@ -223,7 +223,7 @@ measurements = st.lists(st.tuples(st.floats(-50, 700), st.floats(-50, 530)), max
 
 @every_tracker
 @given(scans=st.lists(st.tuples(st.floats(1e-3, 0.8), measurements), min_size=1, max_size=12))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_covariances_stay_symmetric_and_positive(name, scans):
     tracker = create_tracker(name, camera=CAMERA, measurement_sigma=0.1)
     t = 0.0

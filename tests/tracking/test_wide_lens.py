@@ -76,7 +76,7 @@ def test_a_target_that_goes_through_the_whole_field_while_the_drone_turns_keeps_
 def test_all_over_the_field_a_tracker_is_as_good_as_it_says(name):
     told = {"measurement_sigma": SIGMA, "size_noise": 0.0, "score_noise": 0.0, "learn_noise": "no"}
     nees, at_rest = [], []
-    for seed in range(12):
+    for seed in range(6):
         rng = np.random.default_rng(seed)
         rate = rng.normal(0.0, 0.4, 3)
         about = rng.uniform(-math.pi, math.pi)
@@ -100,7 +100,7 @@ def test_all_over_the_field_a_tracker_is_as_good_as_it_says(name):
                     nees.append(off_px @ np.linalg.solve(P, off_px) / 2.0)
                     v = track.mean[1::2]
                     at_rest.append(v @ np.linalg.solve(track.cov[1::2, 1::2], v) / 2.0)
-    assert len(nees) > 200
+    assert len(nees) > 100
     assert 0.3 < np.mean(nees) < 1.3
     # A direction that stands still has no motion of its own, wherever in the field it is.
     assert np.mean(at_rest) < 1.5

@@ -145,7 +145,9 @@ def test_a_hovering_triangle_or_rhombus_shows_as_many_pairs_as_its_cameras_can(d
         assert sum(len(seen_by(scenario, member, t)) for member in scenario.members) == pairs
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.long("other seeds of the same")) for seed in (1, 2))]
+)
 def test_in_crossing_drones_change_sides_in_the_image_of_two_observers_or_more(seed):
     scenario = load_scenario("crossing", seed=seed)
     times = np.arange(5.0, scenario.seconds, 0.1)
@@ -162,7 +164,9 @@ def test_in_crossing_drones_change_sides_in_the_image_of_two_observers_or_more(s
     assert observers >= 2
 
 
-@pytest.mark.parametrize(("seed", "drones"), [(0, 4), (1, 6)])
+@pytest.mark.parametrize(
+    ("seed", "drones"), [(0, 4), pytest.param(1, 6, marks=pytest.mark.long("a team of six, not four"))]
+)
 def test_in_occlusion_drones_vanish_behind_others_for_half_a_second_to_two(seed, drones):
     scenario = load_scenario("occlusion", seed=seed, drones=drones)
     period = 0.1
@@ -181,7 +185,7 @@ def test_in_occlusion_drones_vanish_behind_others_for_half_a_second_to_two(seed,
     assert np.percentile(hidden_s, 90) <= 2.0
 
 
-@pytest.mark.parametrize("drones", [2, 4, 9])
+@pytest.mark.parametrize("drones", [2, 4, pytest.param(9, marks=pytest.mark.long("a larger team, of nine"))])
 def test_in_fast_yaw_every_drone_turns_at_two_radians_a_second_and_comes_back_to_the_others(drones):
     scenario = load_scenario("fast-yaw", seed=3, drones=drones)
     times = np.arange(8.0, 20.0, 0.1)
@@ -199,7 +203,7 @@ def test_the_late_joiner_hovers_in_view_until_its_agent_has_had_time_to_start():
     assert all(4 in seen_by(scenario, member, 6.0) for member in (1, 2, 3))
 
 
-@pytest.mark.parametrize("drones", [2, 4, 8])
+@pytest.mark.parametrize("drones", [2, 4, pytest.param(8, marks=pytest.mark.long("a larger team, of eight"))])
 def test_the_intruder_is_seen_by_all_and_belongs_to_nobody(drones):
     scenario = load_scenario("intruder", drones=drones)
     assert scenario.strangers == {999}

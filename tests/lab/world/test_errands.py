@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -26,6 +27,7 @@ TEAMS = SHORT + [
 ]
 
 
+@functools.cache  # three drones cost a second
 def errand(seed: int = 1, drones: int = 3) -> Scenario:
     return load_scenario("errand", seed=seed, drones=drones)
 
@@ -140,7 +142,7 @@ def test_frames_show_the_same_in_whatever_order_they_are_asked_for():
 
 def test_a_ghost_fires_as_often_as_its_probability_says_and_always_at_its_place():
     times, judged = np.arange(0.0, 6.5, 0.04), 0
-    for seed in (1, 2, 3):
+    for seed in (1, 2):
         scenario = errand(seed)
         oracle = OracleDetector(scenario)
         eye = (scenario.world.pose(1, 0.0) @ scenario.body_from_camera).inverse()

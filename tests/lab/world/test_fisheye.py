@@ -57,6 +57,9 @@ def test_the_sky_is_above_and_the_ground_below_beside_the_camera_as_well():
     assert blue[200:300].mean() > 0.0 > blue[340:440].mean()
 
 
+@pytest.mark.long(
+    "9 s of flight; tracking/test_wide_lens.py and cameras/test_rig.py have such lenses in the default run"
+)
 def test_drones_at_the_end_of_the_field_are_named():
     scenario = load_scenario("fisheye")
     named, wide = [], []
