@@ -35,6 +35,7 @@ GROUPS = {
     "look": {
         "monitor": ("swarmtrack.agents.monitor", "serve the web page of a running swarm"),
         "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
+        "ros2": ("swarmtrack.agents.ros2", "show a running swarm to ROS 2, as topics under rmw_zenoh"),
         "record": ("swarmtrack.agents.record", "record the messages of a running swarm"),
     },
     "afterwards": {

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections import deque
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple
@@ -57,8 +58,11 @@ class InView(NamedTuple):
 
 
 class ScriptedDrone:
-    """One on a circle, looking at its middle; with several cameras, which look all around, it turns. calls: by which
-    name it calls whom; imu_hz: what it gets; pictures: how many it has sent, of each camera."""
+    """One on a circle, looking at its middle; with several cameras, which look all around, it turns.
+
+    calls: by which name it calls whom; imu_hz: what it gets; pictures: how many it has sent, of each camera; told: UTC
+    of its messages, and what its clock showed then, s.
+    """
 
     def __init__(
         self,
@@ -74,6 +78,7 @@ class ScriptedDrone:
         self.calls: dict[int, int] = {}
         self.imu_hz = 200.0
         self.pictures: list[int] = []
+        self.told: deque[tuple[float, float]] = deque(maxlen=1000)
         self._mountings: list[Pose] = []
         self._pictures: list[zenoh.Publisher] = []
         self._angle = angle
@@ -157,9 +162,10 @@ class ScriptedDrone:
         tick = 0
         while True:
             now = CLOCK.now()
+            offset = CLOCK.utc() - now
+            self.told.append((now + offset, now))
             seen = self._in_view(now)
             self._sequence += 1
-            offset = CLOCK.utc() - now
             if tick % 5 == self.drone_id % 5:
                 self._say_sightings(now, offset, seen)
             if tick % 10 == 0:
@@ -239,7 +245,7 @@ class ScriptedDrone:
     def _health(self) -> HealthMessage:
         rng = np.random.default_rng(self._sequence)
         return HealthMessage(
-            1, CLOCK.utc(), self._boot, 60.0, 12.0 + rng.normal(), 90.0,
+            1, CLOCK.utc(), self._boot, 60.0 + 0.1 * self._sequence, 12.0 + rng.normal(), 90.0,
             {
                 "imu": RateHealth(200.0, self.imu_hz), "detections": RateHealth(None, 15.0 + rng.normal()),
                 "tracks": RateHealth(50.0, 49.8),

@@ -18,9 +18,13 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.health import HealthMessage
+from swarmtrack.wire.motion import MotionMessage
+from swarmtrack.wire.sightings import SightingsMessage
 from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.video import VideoMessage
 
-M = TypeVar("M", CameraMessage, HealthMessage, TracksMessage)
+M = TypeVar("M", CameraMessage, HealthMessage, MotionMessage, SightingsMessage, TracksMessage, VideoMessage)
+Timed = TypeVar("Timed", HealthMessage, MotionMessage, SightingsMessage, TracksMessage, VideoMessage)
 
 # An ID that no drone has: we are of no team.
 NO_DRONE_ID = 0
@@ -40,7 +44,7 @@ class HeardTeam:
         self._membership = Membership(NO_DRONE_ID, "", CLASH_S)
         self._cameras: dict[tuple[int, str], DroneCamera] = {}
         self._clock = clock or SystemClock()
-        self._freshness: dict[tuple[int, Kind], MessageOrder] = {}
+        self._freshness: dict[str, MessageOrder] = {}
         self._counters: Counter[str] = Counter()
 
     @property
@@ -86,52 +90,68 @@ class HeardTeam:
             if isinstance(event, PeerArrived):
                 self._forget_order(drone_id)
 
-    def on_camera(self, sample: Sample) -> None:
+    def on_camera(self, sample: Sample) -> CameraMessage | None:
         drone_id, message = self._read(CameraMessage, Kind.CAMERA, sample)
         if message is None:
-            return
+            return None
         if message.drone_id != drone_id:
             self._counters["camera_on_wrong_key"] += 1
-        elif message.boot not in self._membership.alive(drone_id):
+            return None
+        if message.boot not in self._membership.alive(drone_id):
             self._counters["camera_before_token"] += 1
-        else:
-            # The first one stays: it is the same for the whole life of a process.
-            self._cameras.setdefault((drone_id, message.boot), camera_of(message))
+            return None
+        # The first one stays: it is the same for the whole life of a process.
+        self._cameras.setdefault((drone_id, message.boot), camera_of(message))
+        return message
 
     def on_tracks(self, sample: Sample) -> Sight | None:
-        drone_id, message = self._read(TracksMessage, Kind.TRACKS, sample)
-        if message is None:
+        received = self.receive(TracksMessage, Kind.TRACKS, sample)
+        if received is None:
             return None
-        marks = self._marks(drone_id, Kind.TRACKS, message.sequence, message.t_utc_s, sample.arrived)
+        drone_id, message, marks = received
         sight = sight_of(drone_id, message, self.camera(drone_id), sample.arrived, self._axes)
         return replace(sight, marks=marks) if marks else sight
 
     def on_health(self, sample: Sample) -> DroneHealth | None:
-        drone_id, message = self._read(HealthMessage, Kind.HEALTH, sample)
-        if message is None:
-            return None
-        marks = self._marks(drone_id, Kind.HEALTH, message.uptime_s, message.t_utc_s, sample.arrived)
-        return DroneHealth(drone_id, message, marks)
+        received = self.receive(HealthMessage, Kind.HEALTH, sample)
+        return None if received is None else DroneHealth(*received)
 
-    def _marks(
-        self, drone_id: int, kind: Kind, order: float, t_utc_s: float, arrived: float
-    ) -> frozenset[Mark]:
-        """Why a message is no news, counted."""
-        freshness = self._freshness.setdefault((drone_id, kind), MessageOrder())
-        marks = freshness.marks(order, t_utc_s, arrived + self._clock.utc() - self._clock.now())
+    def receive(
+        self, message: type[Timed], kind: Kind, sample: Sample
+    ) -> tuple[int, Timed, frozenset[Mark]] | None:
+        """Drone, message, and why it is no news, counted; None for what does not count."""
+        drone_id, received = self._read(message, kind, sample)
+        if received is None:
+            return None
+        match received:
+            case HealthMessage():
+                order = received.uptime_s
+            case VideoMessage():
+                order = received.frame
+            case _:
+                order = received.sequence
+        freshness = self._freshness.setdefault(sample.key, MessageOrder())
+        utc = sample.arrived + self._clock.utc() - self._clock.now()
+        marks = freshness.marks(order, received.t_utc_s, utc)
         self._counters.update(f"{kind}_{mark.replace(' ', '_')}" for mark in marks)
-        return marks
+        return drone_id, received, marks
 
     def _forget_order(self, drone_id: int) -> None:
-        for kind in (Kind.TRACKS, Kind.HEALTH):
-            if (drone_id, kind) in self._freshness:
-                self._freshness[drone_id, kind].restart()
+        for text, order in self._freshness.items():
+            address = keys.parse(text)
+            if address is not None and address.drone_id == drone_id:
+                order.restart()
 
     def _read(self, message: type[M], kind: Kind, sample: Sample) -> tuple[int, M | None]:
         """Whose it is, by its key; and what it says, if it counts."""
         self._membership.settle(sample.arrived)
         address = keys.parse(sample.key)
-        if address is None or address.team != self._team or address.kind is not kind or address.rest:
+        if (
+            address is None
+            or address.team != self._team
+            or address.kind is not kind
+            or (address.rest and (kind is not Kind.VIDEO or keys.camera_of(address) is None))
+        ):
             self._counters["messages_on_no_key"] += 1
             return NO_DRONE_ID, None
         if not self._membership.alive(address.drone_id):

@@ -79,7 +79,7 @@ class Swarm:
         await self._listener.open()
         self._tasks = [
             asyncio.create_task(self._hear(), name="hear"),
-            asyncio.create_task(self._ask_for_cameras(), name="cameras"),
+            asyncio.create_task(ask_for_cameras(self._heard, self._listener), name="cameras"),
         ]
         return self
 
@@ -173,20 +173,6 @@ class Swarm:
             case Kind.HEALTH if self._healths.wanted(address.drone_id):
                 self._healths.put(address.drone_id, self._heard.on_health(sample))
 
-    async def _ask_for_cameras(self) -> None:
-        """A question may overtake the links, and what was put before them is lost. One that does not answer is asked
-        ever more rarely.
-        """
-        asked: Counter[int] = Counter()
-        for turn in itertools.count(1):
-            await asyncio.sleep(CLIENT_ASK_PERIOD_S)
-            without = self._heard.without_camera
-            asked = Counter({drone_id: asked[drone_id] for drone_id in without})
-            for drone_id in without:
-                if turn % 2 ** min(asked[drone_id], CLIENT_ASK_BACK_OFFS) == 0:
-                    asked[drone_id] += 1
-                    self._listener.request(Kind.CAMERA, drone_id)
-
     async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
         """Why nothing is heard, as far as one can tell."""
         team, here = self._network.team, self.drones
@@ -205,6 +191,21 @@ class Swarm:
             return f"{said}: something answers there, but no agent of this team; expected team= as in its [network]"
         where = ", ".join(self._network.connect) or "this machine"
         return f"{said}: nothing answers at {where}; does an agent run there, or is connect= missing?"
+
+
+async def ask_for_cameras(heard: HeardTeam, listener: ZenohListener) -> None:
+    """Until cancelled: request each camera that is missing. A request may overtake the links, and what was put before
+    them is lost. A drone that does not answer is asked ever more rarely.
+    """
+    asked: Counter[int] = Counter()
+    for turn in itertools.count(1):
+        await asyncio.sleep(CLIENT_ASK_PERIOD_S)
+        without = heard.without_camera
+        asked = Counter({drone_id: asked[drone_id] for drone_id in without})
+        for drone_id in without:
+            if turn % 2 ** min(asked[drone_id], CLIENT_ASK_BACK_OFFS) == 0:
+                asked[drone_id] += 1
+                listener.request(Kind.CAMERA, drone_id)
 
 
 class _Outlet(Generic[T]):
