@@ -27,6 +27,7 @@ from pydantic import (
 )
 
 from swarmtrack.config.formation import TeamFormation, formation_problems
+from swarmtrack.config.ros2 import Ros2Section, or_switch
 from swarmtrack.config.team import TeamSection, resolve_plan, roster_problems, switch_problems, take_own_start
 from swarmtrack.config.toml.layers import Key, Layer, Layers, Problem, Table, merge, read_layers
 from swarmtrack.config.toml.sections import (
@@ -569,6 +570,17 @@ class OutputSection(Section):
     tracks_hz: Annotated[Positive, Field(le=1000.0)] = Field(
         default=50.0, description="highest rate of published tracks"
     )
+    ros2: Ros2Section | None = Field(
+        default=None,
+        description="also publish topics of ROS 2 (rmw_zenoh), without ROS; `true`, or a table of what differs",
+        json_schema_extra=or_switch,
+    )
+
+    @field_validator("ros2", mode="before")
+    @classmethod
+    def _true_is_all_defaults(cls, said: object) -> object:
+        """`true` is the same as an empty table."""
+        return {True: Ros2Section(), False: None}[said] if isinstance(said, bool) else said
 
 
 class RecordingSection(Section):

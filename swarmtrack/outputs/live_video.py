@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from typing import Protocol
 
 import numpy as np
 
@@ -36,10 +37,22 @@ PICTURE_WIDTH = 480  # px, at most: a quarter of a laptop's screen
 JPEG_ATTEMPTS = ((70, 1.0), (45, 1.0), (45, 0.5), (25, 0.25))
 
 
+class PictureSink(Protocol):
+    """Another way out for pictures."""
+
+    @property
+    def wanted_pictures(self) -> Sequence[int]:
+        """Cameras, counted from 0, whose pictures are looked at there."""
+        ...
+
+    def on_video(self, message: VideoMessage, camera: int) -> None: ...
+
+
 class LiveVideo:
     """Offered every frame; only the event loop may call.
 
-    clock: the flight's; wall: the machine's, for how often. drops: where what no reader would accept is counted.
+    clock: the flight's; wall: the machine's, for how often. drops: where what no reader would accept is counted. also:
+    takes pictures, too.
     """
 
     def __init__(
@@ -51,7 +64,9 @@ class LiveVideo:
         *,
         clock: Clock,
         wall: Clock,
+        also: PictureSink | None = None,
     ) -> None:
+        self._also = also
         self._transport = transport
         self._perceived = perceived
         self._lenses = [lens_message(lens) for lens in lenses]
@@ -64,7 +79,7 @@ class LiveVideo:
 
     def offer(self, t: float, frame: int, image: Image | None, camera: int = 0) -> None:
         """A frame with its stamp; image None: of a camera that sends no pictures. Returns at once."""
-        if self._encoding is not None or not self._transport.has_listener(Kind.VIDEO, camera):
+        if self._encoding is not None or not self._is_watched(camera):
             return
         now = self._wall.now()
         # What has no picture costs nothing worth sharing.
@@ -101,7 +116,11 @@ class LiveVideo:
 
     def _watched(self) -> int:
         """How many cameras somebody looks at."""
-        return sum(self._transport.has_listener(Kind.VIDEO, k) for k in range(len(self._lenses)))
+        return sum(map(self._is_watched, range(len(self._lenses))))
+
+    def _is_watched(self, camera: int) -> bool:
+        wanted = self._also is not None and camera in self._also.wanted_pictures
+        return wanted or self._transport.has_listener(Kind.VIDEO, camera)
 
     def _on_encoded(self, camera: int, done: asyncio.Future[VideoMessage | None]) -> None:
         self._encoding = None
@@ -114,6 +133,10 @@ class LiveVideo:
             self._publish(view, camera)
 
     def _publish(self, view: VideoMessage, camera: int) -> None:
+        if self._also is not None:
+            self._also.on_video(view, camera)
+        if not self._transport.has_listener(Kind.VIDEO, camera):
+            return
         try:
             self._transport.publish(Kind.VIDEO, codec.encode(view), camera)
         except ValueError:  # what no reader would accept is not sent, and must not end the flight

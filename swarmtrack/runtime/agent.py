@@ -69,7 +69,7 @@ class Agent:
         self._clock, self._wall, self._paced = parts.clock, parts.wall, parts.paced
         self._cameras, self._detector, self._autopilot = parts.cameras, parts.detector, parts.autopilot
         self._lenses, self._start = parts.lenses, parts.start
-        self._door, self._recorder = parts.door, parts.recorder
+        self._door, self._recorder, self._ros2 = parts.door, parts.recorder, parts.ros2
         self._transport, self._renewal = parts.transport, parts.renewal
         self._simulated = parts.simulated_teammates
         self._console = console
@@ -91,6 +91,7 @@ class Agent:
             self.health.drops,
             clock=parts.clock,
             wall=parts.wall,
+            also=parts.ros2,
         )
         self._tracks = TracksPublisher(
             parts.door,
@@ -100,6 +101,7 @@ class Agent:
             clock=parts.clock,
             wall=parts.wall,
             hz=output.tracks_hz,
+            also=None if parts.ros2 is None else parts.ros2.on_tracks,
         )
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
         perceived = parts.door.perceived
@@ -133,6 +135,7 @@ class Agent:
                     tasks.create_task(self._feel_lag(), name="lag"),
                     tasks.create_task(self._notices.run(), name="tell"),
                     tasks.create_task(self._renew_keys(), name="keys"),
+                    tasks.create_task(self._show_to_ros2(), name="ROS 2"),
                 ]
                 formation = tasks.create_task(self._fly_in_formation(), name="formation")
                 stop = tasks.create_task(self._stop.wait(), name="stop")
@@ -154,6 +157,10 @@ class Agent:
     async def _renew_keys(self) -> None:
         if self._renewal is not None:
             await self._renewal.run()
+
+    async def _show_to_ros2(self) -> None:
+        if self._ros2 is not None:
+            await self._ros2.run()
 
     async def _fly_in_formation(self) -> None:
         if self._formation is not None:
@@ -373,6 +380,7 @@ class Agent:
             wall=self._wall,
             recorder=self._recorder,
             file=self._health_file,
+            also=None if self._ros2 is None else self._ros2.on_health,
         )
         await publisher.run()
 
@@ -397,6 +405,7 @@ class Agent:
         """Within CLOSE_TIMEOUT, whatever hangs."""
         closing = [self._transport.close(), *(camera.close() for camera in self._cameras)]
         closing += [transport.close() for transport, _ in self._simulated]
+        closing += [] if self._ros2 is None else [self._ros2.close()]
         with suppress(TimeoutError):
             async with asyncio.timeout(CLOSE_TIMEOUT):
                 for result in await asyncio.gather(*closing, return_exceptions=True):

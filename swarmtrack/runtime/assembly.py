@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
     from swarmtrack.runtime.flight_recorder import FlightRecorder
     from swarmtrack.runtime.key_renewal import KeyRenewal
+    from swarmtrack.runtime.ros2_output import Ros2Output
 
 
 @dataclass(slots=True)
@@ -79,6 +80,7 @@ class Parts:
     engagement: PilotEngagement | None
     """Whether the pilot wants to be flown; None: nobody may fly it."""
     recorder: FlightRecorder | None
+    ros2: Ros2Output | None
     transport: Transport
     renewal: KeyRenewal | None
     """None: there are no keys."""
@@ -145,6 +147,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
     recorder = _recorder(
         config, mounted, start, box_width, boot, clock=clock, wall=wall, waits=paced is not None
     )
+    door = Door(make_onboard(config, mounted, start, box_width), make_follower(config))
     return Parts(
         config=config,
         clock=clock,
@@ -155,9 +158,10 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         cameras=cameras,
         autopilot=autopilot,
         detector=detector,
-        door=Door(make_onboard(config, mounted, start, box_width), make_follower(config)),
+        door=door,
         engagement=engagement,
         recorder=recorder,
+        ros2=_ros2_output(config, door, boot, clock),
         transport=transport,
         renewal=renewal,
         start=start,
@@ -344,6 +348,16 @@ def _recorder(
 
     settings = FlightSettings(config, tuple(mounted), start, box_width)
     return FlightRecorder(settings, boot, clock, wall, waits=waits)
+
+
+def _ros2_output(config: DroneConfig, door: Door, boot: str, clock: Clock) -> Ros2Output | None:
+    section = config.output.ros2
+    if section is None:
+        return None
+    from swarmtrack.runtime.ros2_output import Ros2Output  # noqa: PLC0415
+
+    with config.blamed("output", "ros2", "router"):
+        return Ros2Output(section, door.perceived, clock, drone_id=config.drone.id, boot=boot)
 
 
 def _teammates(

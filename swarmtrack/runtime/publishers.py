@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
@@ -22,7 +22,7 @@ from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.records import as_record
-from swarmtrack.wire.tracks import tracks_message
+from swarmtrack.wire.tracks import TracksMessage, tracks_message
 
 if TYPE_CHECKING:
     from swarmtrack.runtime.flight_recorder import FlightRecorder
@@ -43,7 +43,9 @@ class TracksPublisher:
         clock: Clock,
         wall: Clock,
         hz: float,
+        also: Callable[[TracksMessage, float], None] | None = None,
     ) -> None:
+        """also: takes each message, and the time of its tracks on the flight's clock."""
         self._door = door
         self._transport = transport
         self._health = health
@@ -51,6 +53,7 @@ class TracksPublisher:
         self._clock = clock
         self._wall = wall
         self._period = 1.0 / hz
+        self._also = also
         self._tracked = asyncio.Event()
         self._detected_at: float | None = None
         self._sequence = 0
@@ -87,6 +90,8 @@ class TracksPublisher:
                 self._health.published.tick()
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._health.drops["unsendable_tracks"] += 1
+        if self._also is not None:
+            self._also(message, now)
         if self._detected_at is not None:
             self._health.detections_to_published.add(self._wall.now() - self._detected_at)
             self._detected_at = None
@@ -134,6 +139,7 @@ class HealthPublisher:
         wall: Clock,
         recorder: FlightRecorder | None,
         file: HealthFile | None,
+        also: Callable[[HealthMessage], None] | None = None,
     ) -> None:
         self._drone_id = drone_id
         self._health = health
@@ -144,6 +150,7 @@ class HealthPublisher:
         self._wall = wall
         self._recorder = recorder
         self._file = file
+        self._also = also
         self._troubles = Troubles()
 
     async def run(self) -> None:
@@ -164,6 +171,8 @@ class HealthPublisher:
             self._transport.publish(Kind.HEALTH, codec.encode(message))
         except ValueError:
             self._health.drops["unsendable_health"] += 1
+        if self._also is not None:
+            self._also(message)
         self._write(message)
         self._console.line(self._footnotes())
         assert message.readiness is not None

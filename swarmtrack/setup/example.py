@@ -56,6 +56,7 @@ SHOWN_VALUES = {
     "output.jsonl": '"tracks.jsonl"',
     "output.video": '"annotated.mp4"',
     "output.health": '"health.json"',
+    "output.ros2": '{ domain = 0, distro = "jazzy" }',
     "recording.dir": '"recordings"',
     "motion.gyro_delay_s": "0.0",
     "formation.leader": "1",
