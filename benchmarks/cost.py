@@ -1,6 +1,6 @@
 """What parts of a drone cost, beside the budgets of the design; or all of it beside another checkout.
 
-    swarmtrack bench cost [--of agent metres command monitor] [--quick] --out DIR
+    swarmtrack bench cost [--of agent metres command monitor ros2] [--quick] --out DIR
     swarmtrack bench cost --beside ../swarmtrack-before [--quick] --out DIR
 
 Beside another checkout tracking and an agent are timed by turns, in processes of their own. Machines are shared and
@@ -33,6 +33,7 @@ PARTS = {
     "metres": ("relative_cost", "Places in metres"),
     "command": ("formation.command", "A command in formation"),
     "monitor": ("monitor_cost", "Being watched"),
+    "ros2": ("ros2_cost", "Being seen by ROS 2"),
 }
 """By name the module whose `measured` gives its figures, and whose docstring says what they are of."""
 # What is probed, and how much of it: scans, and seconds of flight.
