@@ -20,6 +20,7 @@ EXAMPLE = """\
 for example:
   swarmtrack config new                            # prompts
   swarmtrack config new --id 2 --autopilot ardupilot-uart --calibration cam2.yaml --start 0 3 0 -90
+  swarmtrack config new --ids 11-15 --grid 3       # five alike, three metres apart
   swarmtrack config new --example                  # every key in one file, explained
   swarmtrack config check drone-1.toml drone-2.toml drone-3.toml
 """
@@ -75,7 +76,7 @@ def _new(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> int:
     from swarmtrack.config.drone import load_config
     from swarmtrack.runtime.check import check, draw_formation
-    from swarmtrack.setup.team_check import contradictions
+    from swarmtrack.setup.team_check import contradictions, doubts
 
     configs, code = [], 0
     for path in args.files:
@@ -88,6 +89,8 @@ def _check(args: argparse.Namespace) -> int:
     problems = contradictions(configs)
     for problem in problems:
         print(problem, file=sys.stderr)
+    for doubt in doubts(configs):
+        print(f"warning: {doubt}")
     if len(configs) > 1 and not problems:
         print(f"drones {', '.join(str(config.drone.id) for config in configs)} agree with each other")
     code = 2 if problems else code

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-from swarmtrack.camera_sources.address import DETECTS_BY_ITSELF, nearest, parse_address
+from swarmtrack.camera_sources.address import DETECTS_BY_ITSELF, CameraAddress, nearest, parse_address
 from swarmtrack.camera_sources.images import open_images
 from swarmtrack.camera_sources.mjpeg import MjpegCamera
 from swarmtrack.camera_sources.rtsp import RtspCamera
@@ -33,11 +33,15 @@ def open_camera(
     size: (width, height) px of its calibration, frames of another are refused unless the address says `resize=1`;
     base: the folder that relative paths start from. Raises SourceError for what can never work.
     """
-    address = parse_address(source)
-    if address.scheme not in CAMERA_SOURCES:
-        known = [*CAMERA_SOURCES, DETECTS_BY_ITSELF]
-        # The rest may be a login: of a scheme that is not ours, nobody knows.
-        raise SourceError(
-            f'camera source {address.scheme}: unknown scheme "{address.scheme}"{nearest(address.scheme, known)}'
-        )
+    address = known_address(source, CAMERA_SOURCES)
     return CAMERA_SOURCES[address.scheme](address, clock=clock, size=size, base=base)
+
+
+def known_address(source: str, known: Iterable[str] = (*CAMERA_SOURCES, DETECTS_BY_ITSELF)) -> CameraAddress:
+    """The address, whose scheme is one of these. Raises SourceError."""
+    address = parse_address(source)
+    if address.scheme not in known:
+        hint = nearest(address.scheme, {*CAMERA_SOURCES, DETECTS_BY_ITSELF})
+        # The rest may be a login: of a scheme that is not ours, nobody knows.
+        raise SourceError(f'camera source {address.scheme}: unknown scheme "{address.scheme}"{hint}')
+    return address

@@ -272,6 +272,16 @@ class CameraSection(Section):
         return PinholeCamera(**intrinsics.model_dump(), distortion=lens)
 
     @property
+    def guessed_angle_deg(self) -> float | None:
+        """Horizontal field of view of an ideal lens, as `swarmtrack config new` guesses one; None: it was measured."""
+        lens = self.intrinsics
+        if lens is None or self.distortion is not None or lens.fx != lens.fy:
+            return None
+        if (lens.cx, lens.cy) != (0.5 * (lens.width - 1), 0.5 * (lens.height - 1)):
+            return None
+        return math.degrees(2.0 * math.atan(0.5 * lens.width / lens.fx))
+
+    @property
     def simulated(self) -> bool:
         return self.source.startswith("sim:")
 
@@ -762,10 +772,15 @@ def load_config(path: str | Path, over: Layer | None = None) -> DroneConfig:
 
     over: what the command line says; it overrides all files.
     """
-    layers = read_layers(Path(path), _resolve_inputs)
+    layers = read_inputs(path)
     if over is not None:
         layers = Layers([*layers.files, over], merge(layers.table, over.table))
     return config_of(layers)
+
+
+def read_inputs(path: str | Path) -> Layers:
+    """The layers of a config's files, with absolute paths, not yet checked. Raises ConfigError."""
+    return read_layers(Path(path), _resolve_inputs)
 
 
 def config_of(layers: Layers) -> DroneConfig:
@@ -786,7 +801,7 @@ def config_of(layers: Layers) -> DroneConfig:
 
 def load_team_config(path: str | Path) -> TeamConfig:
     """Read [network] from a team's file, or from a drone's. Raises ConfigError."""
-    return _validated(TeamConfig, read_layers(Path(path), _resolve_inputs), [])
+    return _validated(TeamConfig, read_inputs(path), [])
 
 
 _C = TypeVar("_C", bound=LayeredConfig)

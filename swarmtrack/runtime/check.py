@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,8 +12,10 @@ from swarmtrack.autopilot.address import parse_address as link_address
 from swarmtrack.camera_sources.address import parse_address as camera_address
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.camera_files import load_calibration
-from swarmtrack.config.drone import CameraSection, DroneConfig, load_config
+from swarmtrack.config.drone import CameraSection, DroneConfig, load_config, read_inputs
 from swarmtrack.config.formation import fields_of_view
+from swarmtrack.config.toml.layers import Problem, Table
+from swarmtrack.config.toml.sections import key_text
 from swarmtrack.diagnosis.findings import Finding, Level, fault
 from swarmtrack.diagnosis.mounting import check_calibration, check_mount
 from swarmtrack.diagnosis.sources import check_door
@@ -23,7 +26,7 @@ from swarmtrack.diagnosis.surroundings import (
     check_disk,
     check_network,
 )
-from swarmtrack.errors import ConfigError
+from swarmtrack.errors import ConfigError, SwarmtrackError
 from swarmtrack.formation.plan import FormationPlan, HalfView
 from swarmtrack.outputs.destinations import check_outputs
 from swarmtrack.outputs.formation_drawing import as_svg, as_text
@@ -49,8 +52,13 @@ NOT_FLOWN = "not enabled: its agent only watches"
 
 def check(path: Path) -> None:
     """`--check`: print what an agent would do with this config. Raises SwarmtrackError where it could not."""
-    config = load_config(path)
-    parts = assemble(config, SystemClock())
+    try:
+        config = load_config(path)
+        parts = assemble(config, SystemClock())
+    except ConfigError as error:
+        # These stop at the first table that cannot be read, or at the first part that cannot be made.
+        more = sorted(problem for problem in _unusable(path) if str(problem) not in error.problems)
+        raise ConfigError([*error.problems, *map(str, more)]) from error
     with config.blamed("output"):
         check_outputs(config.output.jsonl, config.output.video, len(config.cameras))
     link = config.autopilot.link
@@ -92,6 +100,49 @@ def check(path: Path) -> None:
         if word in DANGERS:
             print(f"warning: autopilot.tell: {word}: {DANGERS[word]}")
     print(f"{path}: ok")
+
+
+def _unusable(path: Path) -> Iterator[Problem]:
+    """Addresses and files named in a config that can never work, each by itself, whatever else is wrong."""
+    try:
+        layers = read_inputs(path)
+    except ConfigError:
+        return
+    for (table, entry), probe in PROBES.items():
+        said = layers.table.get(table)
+        tables = said if isinstance(said, list) else [said]
+        for number, section in enumerate(tables):
+            if not isinstance(section, dict) or not isinstance(section.get(entry), str):
+                continue
+            key = (table, number, entry) if len(tables) > 1 else (table, entry)
+            try:
+                probe(section)
+            except SwarmtrackError as error:
+                yield layers.problem(key, f"{key_text(key)}: {error}")
+
+
+def _try_source(camera: Table) -> None:
+    # Not above: a camera that detects by itself needs no OpenCV.
+    from swarmtrack.camera_sources.opening import known_address  # noqa: PLC0415
+
+    if not camera["source"].startswith("sim:"):
+        known_address(camera["source"])
+
+
+def _try_calibration(camera: Table) -> None:
+    load_calibration(camera["calibration"], camera.get("calibration_camera"))
+
+
+def _try_link(autopilot: Table) -> None:
+    if autopilot["link"] != "sim":
+        link_address(autopilot["link"])
+
+
+PROBES: dict[tuple[str, str], Callable[[Table], None]] = {
+    ("camera", "source"): _try_source,
+    ("camera", "calibration"): _try_calibration,
+    ("autopilot", "link"): _try_link,
+}
 
 
 def _print_camera(parts: Parts, number: int, section: CameraSection) -> None:

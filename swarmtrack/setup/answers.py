@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from swarmtrack.errors import SourceError
+from swarmtrack.setup.team_check import SAME_START_M
 
 
 class Wiring(NamedTuple):
@@ -18,6 +19,8 @@ class Wiring(NamedTuple):
 
 # m: of a start that was measured by a tape; the config says so, and can be corrected.
 TAPE_SIGMA_M = 0.1
+MOST_AT_ONCE = 100  # drones: a larger range is a slip
+MOST_SPACING_M = 100.0  # m between drones on the ground: more is a slip
 UART = "serial:/dev/ttyAMA0:921600"
 USB = "serial:/dev/ttyACM0:921600"
 PX4_UART = "PX4, once: MAV_1_CONFIG = TELEM 2, MAV_1_MODE = Onboard, SER_TEL2_BAUD = 921600"
@@ -49,6 +52,31 @@ def drone_id(text: str) -> int:
     if not (text.isascii() and text.isdigit() and 1 <= int(text) <= 65535):
         raise ValueError(f"found {text}, expected a whole number, 1 … 65535")
     return int(text)
+
+
+def drone_ids(text: str) -> list[int]:
+    """`11-15`, `11,13` or both."""
+    found: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.partition("-")
+        low, high = drone_id(first), drone_id(last if dash else first)
+        if not 0 <= high - low < MOST_AT_ONCE:
+            raise ValueError(f"found {part}, expected FIRST-LAST, {MOST_AT_ONCE} drones at most")
+        found += range(low, high + 1)
+    if len(found) > MOST_AT_ONCE or len(set(found)) < len(found):
+        raise ValueError(f"found {text}, expected {MOST_AT_ONCE} drones at most, each once")
+    return found
+
+
+def spacing(text: str) -> float:
+    """m."""
+    try:
+        metres = float(text)
+    except ValueError:
+        metres = math.nan
+    if not SAME_START_M < metres <= MOST_SPACING_M:
+        raise ValueError(f"found {text}, expected metres, above {SAME_START_M} to {MOST_SPACING_M:g}")
+    return metres
 
 
 def peer(text: str) -> tuple[int, str]:
@@ -109,18 +137,50 @@ def wiring(text: str) -> Wiring:
         raise ValueError(f"{error}; or one of {', '.join(WIRINGS)}") from error
 
 
-def start(text: str) -> str:
+class StartPlan(NamedTuple):
+    """Where a drone starts: the whole value of drone.start, or a measured place [m] and heading [°] for it."""
+
+    stated: str
+    place: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    yaw_deg: float = 0.0
+
+    @property
+    def value(self) -> str:
+        """The value of drone.start."""
+        place = ", ".join(map(str, self.place))
+        return self.stated or (
+            f"{{ position_m = [{place}], yaw_deg = {self.yaw_deg}, position_sigma_m = {TAPE_SIGMA_M} }}"
+        )
+
+    def grid(self, drones: int, spacing_m: float) -> list[StartPlan]:
+        """The starts of so many drones with the same heading: in rows to the right of the first and behind it."""
+        columns = math.ceil(math.sqrt(drones))
+        yaw, (north, east, down) = math.radians(self.yaw_deg), self.place
+        starts = []
+        for k in range(drones):
+            row, column = divmod(k, columns)
+            ahead, right = -row * spacing_m, column * spacing_m
+            place = (
+                round(north + ahead * math.cos(yaw) - right * math.sin(yaw), 3) + 0.0,
+                round(east + ahead * math.sin(yaw) + right * math.cos(yaw), 3) + 0.0,
+                down,
+            )
+            starts.append(self._replace(place=place))
+        return starts
+
+
+def start(text: str) -> StartPlan:
     """The value of drone.start."""
     words = text.split()
     if words == ["gps"]:
-        return '{ from = "gps" }'  # the receiver knows how good it is
+        return StartPlan('{ from = "gps" }')  # the receiver knows how good it is
     if words == ["local"]:
-        return f'{{ from = "local", position_sigma_m = {TAPE_SIGMA_M} }}'
+        return StartPlan(f'{{ from = "local", position_sigma_m = {TAPE_SIGMA_M} }}')
     try:
         numbers = [float(word) for word in words]
     except ValueError:
         numbers = []
     if len(numbers) != 4 or not all(map(math.isfinite, numbers)):
         raise ValueError(f"found {text}, expected NORTH EAST DOWN YAW, gps or local")
-    place = ", ".join(map(str, numbers[:3]))
-    return f"{{ position_m = [{place}], yaw_deg = {numbers[3]}, position_sigma_m = {TAPE_SIGMA_M} }}"
+    north, east, down, yaw = numbers
+    return StartPlan("", (north, east, down), yaw)

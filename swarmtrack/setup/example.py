@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import re
 import textwrap
 from collections.abc import Iterator
 from typing import Any
 
 from swarmtrack.setup.reference import about, parameters_schema, referred, tables, whole_schema
+from swarmtrack.setup.texts import as_toml
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, TRACKERS
 
 NAME = "example.toml"
@@ -95,13 +95,4 @@ def _lines(section: str, properties: dict[str, Any]) -> Iterator[str]:
         if name in WRITTEN:
             yield f"{key} = {WRITTEN[name]}\n"
         else:
-            yield f"#{key} = {SHOWN_VALUES.get(name) or _toml(entry['default'])}\n"
-
-
-def _toml(value: Any) -> str:
-    """A default, as TOML writes it: JSON does the same for all but tables."""
-    if isinstance(value, dict):
-        return (
-            "{ " + ", ".join(f"{key} = {_toml(one)}" for key, one in value.items()) + " }" if value else "{}"
-        )
-    return json.dumps(value, ensure_ascii=False)
+            yield f"#{key} = {SHOWN_VALUES.get(name) or as_toml(entry['default'])}\n"

@@ -65,6 +65,22 @@ def contradictions(configs: Sequence[DroneConfig]) -> list[str]:
     return list(dict.fromkeys(problems))
 
 
+def doubts(configs: Sequence[DroneConfig]) -> list[str]:
+    """Sentences on what is unlikely, but possible: drones of a team are mostly built alike."""
+    angles: dict[str, list[int]] = {}
+    for config in configs:
+        for camera in config.cameras[:1]:
+            if camera.guessed_angle_deg is not None:
+                angles.setdefault(f"{camera.guessed_angle_deg:.0f}°", []).append(config.drone.id)
+    if len(angles) < 2:
+        return []
+    each = "; ".join(f"{angle} of drone {', '.join(map(str, ids))}" for angle, ids in angles.items())
+    return [
+        f"the guessed lenses differ: {each}; with equal cameras, write one guess into all of them, or measure them "
+        "with `swarmtrack calibrate intrinsics`"
+    ]
+
+
 def _of_two(first: DroneConfig, other: DroneConfig) -> list[str]:
     problems = []
     who = f"drone {first.drone.id}"

@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 NO_PEERS: Mapping[int, str] = MappingProxyType({})
 BY_TAPE = """\
@@ -16,20 +16,22 @@ BY_TAPE = """\
 BY_AUTOPILOT = """\
 # The pose comes from the autopilot, also after a restart in the air. position_sigma_m is how well its local origin
 # is measured; GPS reports its own accuracy."""
+NO_MOUNT = "{ rpy_deg = [0.0, 0.0, 0.0], position_m = [0.0, 0.0, 0.0] }"
 MOUNT = """
 # Where the camera sits: zero angles look along the nose, upright; pitch 20 looks 20 degrees up, yaw 90 to the right.
 # position_m is [forward, right, down] from the autopilot.
-body_from_camera = { rpy_deg = [0.0, 0.0, 0.0], position_m = [0.0, 0.0, 0.0] }"""
+body_from_camera = """
 
 
 class DronePlan(NamedTuple):
-    """Contents of drone-ID.toml. lens: lines of [camera]; notes: on the link; start: the value of drone.start."""
+    """Contents of drone-ID.toml. lens: lines of [camera], none for a simulation; mount: the value of body_from_camera;
+    notes: on the link; start: the value of drone.start."""
 
     drone_id: int
     team: str
     camera: str
     lens: list[str]
-    guessed: bool
+    mount: str
     link: str
     notes: tuple[str, ...]
     start: str
@@ -45,9 +47,16 @@ class TeamPlan(NamedTuple):
     insecure: bool = False
 
 
-def calibrated_lens(file: str) -> list[str]:
-    """By a calibration next to the config."""
-    return [f"calibration = {_quoted(file)}"]
+def calibrated_lens(file: str, camera: str | None = None) -> list[str]:
+    """By a calibration file, relative to the config; camera: which one of several in it."""
+    which = [] if camera is None else [f"calibration_camera = {as_toml(camera)}"]
+    return [f"calibration = {as_toml(file)}", *which]
+
+
+def known_lens(intrinsics: Mapping[str, Any], distortion: Mapping[str, Any] | None) -> list[str]:
+    """By measured numbers."""
+    bent = [] if distortion is None else [f"distortion = {as_toml(distortion)}"]
+    return [f"intrinsics = {as_toml(intrinsics)}", *bent]
 
 
 def guessed_lens(size: tuple[int, int], angle_deg: float) -> list[str]:
@@ -63,7 +72,7 @@ def guessed_lens(size: tuple[int, int], angle_deg: float) -> list[str]:
 
 def drone_text(plan: DronePlan) -> str:
     """drone-ID.toml."""
-    lens = "\n".join(plan.lens) + MOUNT if plan.lens else "# A simulated camera is calibrated."
+    lens = "\n".join(plan.lens) + MOUNT + plan.mount if plan.lens else "# A simulated camera is calibrated."
     notes = "".join(f"# {note}\n" for note in plan.notes)
     return f"""\
 # Drone {plan.drone_id} of team {plan.team}. All keys: swarmtrack config reference
@@ -77,11 +86,11 @@ id = {plan.drone_id}
 start = {plan.start}
 
 [camera]
-source = {_quoted(plan.camera)}
+source = {as_toml(plan.camera)}
 {lens}
 
 [autopilot]
-{notes}link = {_quoted(plan.link)}
+{notes}link = {as_toml(plan.link)}
 imu_rate_hz = 200                   # requested from the autopilot, and monitored
 tell = ["status"]                   # what to send to the ground station through the autopilot
 
@@ -95,8 +104,8 @@ def team_text(plan: TeamPlan) -> str:
     origin = "# [team]\n# origin = { lat_deg = 47.397742, lon_deg = 8.545594, alt_m = 488.0 }"
     if plan.origin:
         origin = "[team]\norigin = {{ lat_deg = {}, lon_deg = {}, alt_m = {} }}".format(*plan.origin)
-    keys = f"keys = {_quoted(plan.keys)}" if plan.keys else '# keys = "keys/drone-{id}"'
-    peers = ", ".join(f"{number} = {_quoted(host)}" for number, host in plan.peers.items())
+    keys = f"keys = {as_toml(plan.keys)}" if plan.keys else '# keys = "keys/drone-{id}"'
+    peers = ", ".join(f"{number} = {as_toml(host)}" for number, host in plan.peers.items())
     peers = f"peers = {{ {peers} }}" if peers else '# peers = { 1 = "10.0.0.11", 2 = "10.0.0.12" }'
     return f"""\
 # What all drones of team {plan.name} share. Each drone has a copy.
@@ -106,7 +115,7 @@ def team_text(plan: TeamPlan) -> str:
 {origin}
 
 [network]
-team = {_quoted(plan.name)}
+team = {as_toml(plan.name)}
 # Without keys and peers, drones find each other on one machine only.
 # Made by `swarmtrack keys`, one folder per drone; {{id}} stands for drone.id:
 {keys}
@@ -123,6 +132,9 @@ name = "mbm"                        # or jpdaf, gmphd, kalman
 """
 
 
-def _quoted(text: str) -> str:
-    """As TOML writes a string: JSON does the same."""
-    return json.dumps(text, ensure_ascii=False)
+def as_toml(value: Any) -> str:
+    """A value, as TOML writes it: JSON does the same for all but tables."""
+    if isinstance(value, Mapping):
+        entries = ", ".join(f"{key} = {as_toml(one)}" for key, one in value.items())
+        return f"{{ {entries} }}" if value else "{}"
+    return json.dumps(value, ensure_ascii=False)

@@ -209,6 +209,80 @@ def test_a_second_drone_joins_the_team_that_is_there(config, tmp_path):
     assert "drones 1, 2 agree" in out
 
 
+def test_a_team_in_a_grid_is_written_at_once(config, tmp_path):
+    words = ("--ids", "11-14,20", "--grid", 3, "--fov", 78, "--start", 10, 0, 0, 90, "--autopilot", "px4-usb")
+    code, out, err = config("new", *words, "--team", "red", "--out", "team")
+    assert code == 0, err
+    files = [tmp_path / "team" / f"drone-{number}.toml" for number in (11, 12, 13, 14, 20)]
+    assert sorted((tmp_path / "team").iterdir()) == [*files, tmp_path / "team" / "team.toml"]
+    starts = [load_config(file).drone.start for file in files]
+    # They look east: the right of the first is south of it, and behind it is west.
+    assert [start.position_m[:2] for start in starts] == [(10, 0), (7, 0), (4, 0), (10, -3), (7, -3)]
+    assert {start.yaw_deg for start in starts} == {90.0}
+    assert out.count("lens       640 x 480 px") == 1
+    assert "drones 11, 12, 13, 14, 20 agree" in config("check", *files)[1]
+
+
+def test_a_drones_camera_and_autopilot_are_those_of_its_newest_sibling(config, tmp_path):
+    assert config("new", "--id", 1, "--fov", 78, "--autopilot", "ardupilot-uart")[0] == 0
+    first = tmp_path / "drone-1.toml"
+    text = first.read_text().replace(
+        "body_from_camera = { rpy_deg = [0.0, 0.0", "body_from_camera = { rpy_deg = [0.0, 20.0"
+    )
+    first.write_text(text)
+    code, out, _ = config("new", "--id", 2, "--start", 0, 3, 0, 0)
+    assert code == 0
+    assert "camera, lens and autopilot as in drone-1.toml: --camera" in out
+    assert "the lens is guessed: 78°;" in out
+    second = (tmp_path / "drone-2.toml").read_text()
+    cut = text.index("[camera]")
+    assert second[second.index("[camera]") :] == text[cut:].replace("drone-1", "drone-2")
+
+    (tmp_path / "cam.yaml").write_bytes(CALIBRATION.read_bytes())
+    assert config("new", "--id", 3, "--calibration", "cam.yaml", "--autopilot", "none")[0] == 0
+    code, out, _ = config("new", "--id", 4, "--start", 0, 9, 0, 0, "--out", tmp_path)
+    assert (code, "guessed" in out) == (0, False)
+    assert 'calibration = "cam.yaml"' in (tmp_path / "drone-4.toml").read_text()
+    assert load_config(tmp_path / "drone-4.toml").camera.body_from_camera.rpy_deg[1] == 20.0
+    code, out, _ = config("new", "--id", 5, "--fov", 60)
+    assert "camera" not in re.search("^.* as in drone-4.toml|$", out, re.MULTILINE)[0]
+    assert load_config(tmp_path / "drone-5.toml").camera.guessed_angle_deg == pytest.approx(60.0, abs=0.01)
+
+
+def test_a_lens_in_numbers_is_taken_as_it_is_and_a_broken_or_simulated_sibling_is_not(config, tmp_path):
+    lens = "{ fx = 600.0, fy = 601.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }"
+    bent = '{ model = "radtan", coefficients = [-0.28, 0.07, 0.0, 0.0] }'
+    (tmp_path / "drone-1.toml").write_text(
+        f'drone.id = 1\n[camera]\nsource = "rtsp://10.0.0.2/"\nintrinsics = {lens}\ndistortion = {bent}\n'
+    )
+    (tmp_path / "drone-7.toml").write_text("broken")
+    (tmp_path / "drone-8.toml").write_text('drone.id = 8\ncamera.source = "sim://hover-triangle"\n')
+    assert config("new", "--id", 2, "--autopilot", "none")[0] == 0
+    ours, theirs = (load_config(tmp_path / f"drone-{number}.toml").camera for number in (2, 1))
+    assert (ours.source, ours.intrinsics, ours.distortion) == (
+        theirs.source,
+        theirs.intrinsics,
+        theirs.distortion,
+    )
+    assert ours.guessed_angle_deg is None
+
+
+def test_a_guess_that_nobody_asked_for_is_said(config):
+    assert "the lens is guessed: 70° (no --fov given)" in config("new", "--id", 1)[1]
+    assert "(no --fov given)" not in config("new", "--id", 1, "--fov", 70, "--force")[1]
+
+
+def test_guesses_of_one_team_that_differ_are_warned_of(config):
+    assert config("new", "--ids", "1-2", "--grid", 3, "--fov", 78)[0] == 0
+    both = ("drone-1.toml", "drone-2.toml")
+    assert "guessed lenses differ" not in config("check", *both)[1]
+    assert config("new", "--id", 3, "--start", 0, 9, 0, 0, "--fov", 70)[0] == 0
+    code, out, _ = config("check", *both, "drone-3.toml")
+    assert code == 0
+    assert "warning: the guessed lenses differ: 78° of drone 1, 2; 70° of drone 3;" in out
+    assert "drones 1, 2, 3 agree" in out
+
+
 def test_nothing_is_overwritten_unless_told(config, tmp_path):
     assert config("new", "--id", 1)[0] == 0
     before = (tmp_path / "drone-1.toml").read_text()
@@ -245,6 +319,14 @@ def test_nothing_is_overwritten_unless_told(config, tmp_path):
         (["--id", "1", "--keys", "keys"], "keys"),
         (["--id", "1", "--origin", "91", "0", "0", "--start", "gps"], "lat_deg"),
         (["--id", "1", "--out", "/proc/nothing"], "--out"),
+        (["--ids", "1-3"], "--grid: missing, expected the distance"),
+        (["--ids", "1-3", "--grid", "0"], "--grid: found 0, expected metres"),
+        (["--ids", "1-3", "--grid", "3", "--id", "4"], "--ids: given with --id"),
+        (["--ids", "3-1", "--grid", "3"], "--ids: found 3-1, expected FIRST-LAST"),
+        (["--ids", "1-3,2", "--grid", "3"], "each once"),
+        (["--ids", "1-60000", "--grid", "3"], "100 drones at most"),
+        (["--id", "1", "--grid", "3"], "--grid: given without --ids"),
+        (["--ids", "1-3", "--grid", "3", "--start", "local"], "--grid: given with --start local"),
     ],
 )
 def test_what_would_not_work_is_said_and_leaves_nothing_behind(config, tmp_path, words, said):
@@ -436,6 +518,23 @@ def test_of_several_files_each_mistake_is_named(config, tmp_path):
     assert 'bad.toml:5: network.teem: unknown key, did you mean "team"?' in err
     assert "none.toml:1: cannot be read" in err
     assert f"{good}: ok" in out
+
+
+def test_mistakes_in_tables_and_in_addresses_are_named_in_one_go(config, tmp_path):
+    written = drone(tmp_path, "bad", 1, '[autopilot]\nlink = "seriell:/dev/ttyAMA0"\nimu_rate = 200\n')
+    text = written.read_text().replace("drone.start = {", "drone.start = { yaw = 3.0,")
+    written.write_text(text.replace("v4l2:", "v4l:"))
+    code, _, err = config("check", written)
+    assert code == 2
+    for mistake in ("2: drone.start.yaw", "3: camera.source", "6: autopilot.link", "7: autopilot.imu_rate"):
+        assert f"{written}:{mistake}: " in err
+    assert len(err.splitlines()) == 4
+    # Where all tables are right, the parts are not made one after the other either.
+    written.write_text(
+        written.read_text().replace("yaw =", "yaw_deg =").replace("imu_rate =", "imu_rate_hz =")
+    )
+    code, _, err = config("check", written)
+    assert (code, len(err.splitlines())) == (2, 2)
 
 
 # ── schema and reference ─────────────────────────────────────────────────────────────────────────────────────────────
