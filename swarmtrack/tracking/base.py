@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import compress
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -28,6 +30,8 @@ from swarmtrack.tracking.smoothing import FixedLag
 from swarmtrack.tracking.table import TrackColumns, TrackIds, TrackTable
 from swarmtrack.tracking.target_motion import TURNS
 
+NO_COUNTERS: Mapping[str, int] = MappingProxyType({})
+
 
 class Explained(NamedTuple):
     """A filter's explanation of a scan.
@@ -41,19 +45,18 @@ class Explained(NamedTuple):
 
 
 class Filter(Protocol):
-    """Belief of one method about all targets, from exposure to exposure."""
+    """Belief of one method about all targets, from exposure to exposure (docs/add_a_tracker.md)."""
 
     Parameters: ClassVar[type[CommonParameters]]
+    counters: Mapping[str, int] = NO_COUNTERS
+    """Events worth counting, for health."""
 
     def __init__(self, sensor: SensorModel, parameters: Any, ids: TrackIds) -> None: ...
 
     @property
     def table(self) -> TrackTable:
-        """Its estimates, a row a track."""
+        """Its estimates, one row per track."""
         ...
-
-    @property
-    def counters(self) -> Mapping[str, int]: ...
 
     def initiate(self, t: float, points: Array) -> list[int]:
         """Start confirmed tracks at known places: points (n, 2) px. Returns their ids."""
@@ -71,19 +74,24 @@ class Filter(Protocol):
         """Prediction of the table's rows, valid until the belief changes."""
         ...
 
+    # Between the cameras of one drone. The defaults are for filters whose table is all that they believe.
+
     def release(
         self, rows: NDArray[np.bool_], dt: float, rotation: Array | None, rotation_variance: float
     ) -> Passage:
         """Take these rows (n,) of the table out, carried on by dt, for another camera's filter."""
-        ...
+        mean, cov = self.course().at(dt, rotation, rotation_variance)
+        leaving = replace(self.table.select(rows), mean=mean[rows], cov=cov[rows])
+        self.table.keep(~rows)
+        return Passage(leaving, None)
 
     def copied(self, rows: NDArray[np.bool_]) -> Passage:
         """What `adopt` would take, of these rows (n,) of the table as they stand; nothing is changed."""
-        ...
+        return Passage(self.table.select(rows), None)
 
     def adopt(self, arriving: Passage) -> None:
         """Rows that another filter of the same kind released, in this camera's pixels at the time of the belief."""
-        ...
+        self.table.append(arriving.table)
 
 
 class Tracker:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.base import Filter
 from swarmtrack.tracking.motion_model import Course
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
@@ -15,14 +16,13 @@ from swarmtrack.tracking.table import TrackIds, TrackTable
 from swarmtrack.tracking.target_motion import TargetMotion
 
 
-class GaussianTracks:
-    """A `Filter` (see base.py) but for its `update`, which is where such filters differ."""
+class GaussianTracks(Filter):
+    """A `Filter` but for its `update`, which is where such filters differ."""
 
     def __init__(self, sensor: SensorModel, parameters: CommonParameters, ids: TrackIds) -> None:
         self._sensor = sensor
         self._motion = TargetMotion(sensor.camera, parameters)
         self._population = Population(sensor, parameters, ids)
-        self.counters: dict[str, int] = {}
 
     @property
     def table(self) -> TrackTable:
@@ -47,9 +47,3 @@ class GaussianTracks:
             leaving.mean, leaving.cov, dt, rotation, rotation_variance
         )
         return Passage(leaving, None)
-
-    def copied(self, rows: NDArray[np.bool_]) -> Passage:
-        return Passage(self.table.select(rows), None)
-
-    def adopt(self, arriving: Passage) -> None:
-        self.table.append(arriving.table)

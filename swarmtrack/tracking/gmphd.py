@@ -120,7 +120,7 @@ class GmPhd(GaussianTracks):
         self.mixture = Mixture.empty()
         self._parameters = parameters
         self._one_to_one = parameters.one_to_one and parameters.profile != "paper"
-        self.counters = {"components_over_cap": 0}
+        self.counters: dict[str, int] = {"components_over_cap": 0}
 
     @property
     def expected_targets(self) -> float:

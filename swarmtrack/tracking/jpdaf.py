@@ -69,7 +69,7 @@ class Jpdaf(GaussianTracks):
     def __init__(self, sensor: SensorModel, parameters: JpdafParameters, ids: TrackIds) -> None:
         super().__init__(sensor, parameters, ids)
         self._parameters = parameters
-        self.counters = {"scans_approximated": 0}
+        self.counters: dict[str, int] = {"scans_approximated": 0}
 
     def update(self, t: float, measured: Measurements) -> Explained:
         # Before the association: after a long silence a track could take whatever comes next, and its name with it.

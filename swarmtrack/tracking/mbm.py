@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.tracking import clusters, lifecycle, manoeuvre
 from swarmtrack.tracking.association import most_likely_matching
-from swarmtrack.tracking.base import Explained
+from swarmtrack.tracking.base import Explained, Filter
 from swarmtrack.tracking.clusters import Cluster
 from swarmtrack.tracking.hypotheses import UNDETECTED, best_matchings
 from swarmtrack.tracking.manoeuvre import (
@@ -213,7 +213,7 @@ class Explanation(NamedTuple):
     taken: Array
 
 
-class Mbm:
+class Mbm(Filter):
     """K best global hypotheses over confirmed tracks, in clusters; one for tentative ones."""
 
     Parameters: ClassVar[type[CommonParameters]] = MbmParameters
@@ -230,7 +230,7 @@ class Mbm:
         self.leaves = Leaves(np.empty(0, np.intp), nobody, np.empty(0), np.empty((0, 2)))
         self.best: Indices = np.empty(0, np.intp)  # of each track, its leaf in the best hypothesis
         self.clusters: list[Cluster] = []
-        self.counters = {"hypotheses_cut": 0}
+        self.counters: dict[str, int] = {"hypotheses_cut": 0}
 
     @property
     def table(self) -> TrackTable:

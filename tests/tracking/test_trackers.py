@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import runpy
 
 import numpy as np
 import pytest
@@ -10,14 +11,24 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 from scipy.special import ndtr
 
+from support.places import DOCS
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import Equidistant, PinholeCamera, RadTan
 from swarmtrack.tracking import TRACKERS, Scan, create_tracker
 from swarmtrack.tracking.association import most_likely_matching
+from swarmtrack.tracking.base import Filter
 from swarmtrack.tracking.lifecycle import probability_in_view
 
 CAMERA = PinholeCamera(430.0, 430.0, 320.0, 240.0, 640, 480)
-every_tracker = pytest.mark.parametrize("name", TRACKERS)
+SMALLEST = DOCS / "examples" / "nearest_neighbour.py"
+EXAMPLE = runpy.run_path(str(SMALLEST))["NearestNeighbour"]
+TRACKERS.pop("nearest")  # which the example has put there
+every_tracker = pytest.mark.parametrize("name", [*TRACKERS, "nearest"])
+
+
+@pytest.fixture(autouse=True)
+def _with_the_example(monkeypatch):
+    monkeypatch.setitem(TRACKERS, "nearest", EXAMPLE)
 
 
 def play(tracker, truth, rng, *, hz=15.0, seconds=6.0, sigma=1.5, p_detection=0.9, clutter=2.0, rate=None):
@@ -366,3 +377,24 @@ def test_after_a_long_silence_no_track_takes_what_comes_next(name):
     tracker.predict(2.5)
     tracker.update(Scan(2.5, np.array([[200.0, 150.0]])))
     assert before not in [track.id for track in tracker.tracks]
+
+
+def test_the_smallest_tracker_is_an_example_of_sixty_lines():
+    assert len(SMALLEST.read_text().splitlines()) <= 60
+
+
+def test_a_filter_without_members_for_several_cameras_hands_its_rows_over_as_one_that_has_them():
+    """One that is written from nothing needs five members: `Filter` does the rest with its table and its course."""
+    points, turn = np.array([[100.0, 100.0], [300.0, 200.0]]), rotation.exp(np.array([0.1, 0.3, 0.0]))
+    first, second, taker = (create_tracker("kalman", camera=CAMERA) for _ in range(3))
+    rows = np.array([False, True])
+    for tracker in (first, second):
+        tracker.initiate(0.0, points)
+    plain = Filter.release(first.filter, rows, 0.2, turn, 1e-5)
+    own = second.filter.release(rows, 0.2, turn, 1e-5)
+    np.testing.assert_allclose(plain.table.mean, own.table.mean, rtol=1e-9)
+    np.testing.assert_allclose(plain.table.cov, own.table.cov, rtol=1e-9)
+    assert first.filter.table.id.tolist() == second.filter.table.id.tolist() == [1]
+    taker.initiate(0.2, points[:0])
+    taker.adopt(plain)
+    assert [track.id for track in taker.tracks] == [2]
