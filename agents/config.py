@@ -56,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     ):
         writing = add_action(actions, action, text)
         add_file(writing, "--out", "write to this file (default: print it)")
+    add_flag(writing, "--scenario", "those of a scenario instead, for swarmtrack sim")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -121,6 +122,10 @@ def _schema(args: argparse.Namespace) -> int:
 
 
 def _reference(args: argparse.Namespace) -> int:
+    if args.scenario:
+        from swarmtrack.lab.scenarios.reference import scenario_reference
+
+        return _write(scenario_reference(), args.out)
     from swarmtrack.setup.reference import reference
 
     return _write(reference(), args.out)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 from swarmtrack.camera_sources.address import DETECTS_BY_ITSELF, CameraAddress, nearest, parse_address
@@ -33,15 +33,18 @@ def open_camera(
     size: (width, height) px of its calibration, frames of another are refused unless the address says `resize=1`;
     base: the folder that relative paths start from. Raises SourceError for what can never work.
     """
-    address = known_address(source, CAMERA_SOURCES)
+    address = known_address(source)
+    if address.scheme == DETECTS_BY_ITSELF:
+        raise SourceError(f"camera source {address}: sends no pictures, expected one of a camera")
     return CAMERA_SOURCES[address.scheme](address, clock=clock, size=size, base=base)
 
 
-def known_address(source: str, known: Iterable[str] = (*CAMERA_SOURCES, DETECTS_BY_ITSELF)) -> CameraAddress:
-    """The address, whose scheme is one of these. Raises SourceError."""
+def known_address(source: str) -> CameraAddress:
+    """The address, of a scheme that is known. Raises SourceError."""
     address = parse_address(source)
+    known = {*CAMERA_SOURCES, DETECTS_BY_ITSELF}
     if address.scheme not in known:
-        hint = nearest(address.scheme, {*CAMERA_SOURCES, DETECTS_BY_ITSELF})
+        hint = nearest(address.scheme, known)
         # The rest may be a login: of a scheme that is not ours, nobody knows.
         raise SourceError(f'camera source {address.scheme}: unknown scheme "{address.scheme}"{hint}')
     return address

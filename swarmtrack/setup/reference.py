@@ -6,14 +6,16 @@ import ast
 import dataclasses
 import inspect
 import json
+import math
 import re
 import textwrap
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, get_args
 
 from pydantic import BaseModel, TypeAdapter
 
 from swarmtrack.config.drone import DroneConfig
+from swarmtrack.config.toml.sections import FARTHEST_CONFIGURED_M
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, TRACKERS
 from swarmtrack.tracking.parameters import CommonParameters
@@ -84,7 +86,7 @@ def whole_schema() -> Schema:
     for entry in schema["properties"].values():
         # A whole table of defaults says nothing that its keys do not.
         entry.pop("default", None)
-    _drop_titles(schema)
+    drop_titles(schema)
     return schema
 
 
@@ -98,7 +100,7 @@ def reference() -> str:
         if name == "tracker":
             parts += _tracker_tables(definitions)
         else:
-            parts.append(_table(_rows(definitions[referred(schema["properties"][name])], definitions)))
+            parts.append(key_table(key_rows(definitions[referred(schema["properties"][name])], definitions)))
     return "\n".join(parts)
 
 
@@ -112,10 +114,10 @@ def tables() -> Iterator[tuple[str, type[BaseModel]]]:
 
 def _tracker_tables(definitions: Schema) -> Iterator[str]:
     name = definitions["TrackerSection"]["properties"]["name"]
-    yield _table([_row("name", name, definitions)])
+    yield key_table([_row("name", name, definitions)])
     common = parameters_schema(CommonParameters, AGENT_PARAMETERS)
     yield "All trackers have:\n"
-    yield _table(_row(key, entry, definitions) for key, entry in common.items())
+    yield key_table(_row(key, entry, definitions) for key, entry in common.items())
     for tracker, kind in TRACKERS.items():
         own = {
             key: entry
@@ -125,7 +127,7 @@ def _tracker_tables(definitions: Schema) -> Iterator[str]:
         if own:
             note = " (the default)" if tracker == DEFAULT_TRACKER else ""
             yield f"`{tracker}`{note} has its own keys or other defaults for:\n"
-            yield _table(_row(key, entry, definitions) for key, entry in own.items())
+            yield key_table(_row(key, entry, definitions) for key, entry in own.items())
 
 
 # ── tables ───────────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -133,16 +135,21 @@ def _tracker_tables(definitions: Schema) -> Iterator[str]:
 Row = tuple[str, str, str, str]
 
 
-def _rows(table: Schema, definitions: Schema, prefix: str = "") -> Iterator[Row]:
+def key_rows(table: Schema, definitions: Schema, prefix: str = "") -> Iterator[Row]:
     """A row for each key, those of tables within after their own."""
     required = table.get("required", ())
     for key, entry in table.get("properties", {}).items():
         name, what, default, meaning = _row(prefix + key, entry, definitions)
         yield name, what, "required" if key in required else default, meaning
-        for referring, below in ((entry, f"{prefix}{key}."), (_each(entry), f"{prefix}{key}.ID.")):
+        within = (
+            (entry, f"{prefix}{key}."),
+            (_each(entry), f"{prefix}{key}.ID."),
+            (entry.get("items", {}), f"{prefix}{key}[]."),
+        )
+        for referring, below in within:
             inner = referred(referring)
-            if inner:
-                yield from _rows(definitions[inner], definitions, below)
+            if inner and "properties" in definitions[inner]:
+                yield from key_rows(definitions[inner], definitions, below)
 
 
 def _row(key: str, entry: Schema, definitions: Schema) -> Row:
@@ -153,7 +160,8 @@ def _row(key: str, entry: Schema, definitions: Schema) -> Row:
     return f"`{key}`", _kind(entry, definitions), shown, entry.get("description", "")
 
 
-def _table(rows: Iterator[Row] | list[Row]) -> str:
+def key_table(rows: Iterable[Row]) -> str:
+    """In Markdown."""
     lines = ["| key | type | default | meaning |", "|---|---|---|---|"]
     lines += ["| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in rows]
     return "\n".join(lines) + "\n"
@@ -169,7 +177,8 @@ def _kind(entry: Schema, definitions: Schema) -> str:
         case {"anyOf": kinds}:
             return " or ".join(_kind(kind, definitions) for kind in kinds if kind.get("type") != "null")
         case {"$ref": _}:
-            return "table"
+            named = definitions[referred(entry)]
+            return _kind(named, definitions) if "enum" in named else "table"
         case {"type": "array", "prefixItems": items}:
             return f"[{', '.join(_kind(item, definitions) for item in items)}]"
         case {"type": "array", "items": items}:
@@ -192,7 +201,7 @@ def _bounds(entry: Schema) -> str:
     signs = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusiveMaximum": "<"}
     return "".join(
         f"{',' if i else ''} {signs[key]} {entry[key]:g}"
-        for i, key in enumerate(k for k in signs if k in entry)
+        for i, key in enumerate(k for k in signs if abs(entry.get(k, math.inf)) < FARTHEST_CONFIGURED_M)
     )
 
 
@@ -249,13 +258,13 @@ def referred(entry: Schema) -> str:
     return next((kind["$ref"].rpartition("/")[2] for kind in kinds if "$ref" in kind), "")
 
 
-def _drop_titles(schema: Any) -> None:
-    """pydantic makes one for every key: `Imu Rate Hz`."""
+def drop_titles(schema: Any) -> None:
+    """In place; pydantic makes one for every key: `Imu Rate Hz`."""
     if isinstance(schema, dict):
         if isinstance(schema.get("title"), str):
             del schema["title"]
         for inner in schema.values():
-            _drop_titles(inner)
+            drop_titles(inner)
     elif isinstance(schema, list):
         for inner in schema:
-            _drop_titles(inner)
+            drop_titles(inner)

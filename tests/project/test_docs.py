@@ -23,6 +23,7 @@ from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents import bench, main, vehicle
 from swarmtrack.config.drone import load_config, load_team_config
+from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.swarm.world_file import load_world
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -297,6 +298,10 @@ def test_every_piece_of_a_config_fits_a_config(tmp_path, page, text):
     if "[world]" in text:
         (tmp_path / "world.toml").write_text(text, encoding="utf-8")
         assert load_world(tmp_path / "world.toml").scenario.members, page
+        return
+    if page.name == "scenarios.md" and text.startswith("about"):
+        (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+        assert load_scenario(tmp_path / "mine.toml").members, page
         return
     shutil.copy(ROOT / "configs" / "usb-camera.yaml", tmp_path / "cam1.yaml")
     (tmp_path / "base.toml").write_text(

@@ -16,6 +16,8 @@ from support.patience import PATIENCE
 from support.places import ROOT
 from swarmtrack.agents.main import main
 from swarmtrack.config.drone import load_config
+from swarmtrack.lab.scenarios.files import ScenarioFile
+from swarmtrack.lab.scenarios.reference import scenario_reference
 from swarmtrack.setup.answers import WIRINGS
 from swarmtrack.setup.example import SHOWN_VALUES, example
 from swarmtrack.setup.reference import json_schema, reference, referred, tables
@@ -550,9 +552,20 @@ def test_the_page_in_the_repository_is_what_the_models_say():
     assert kept == reference(), "run: swarmtrack config reference --out docs/config.md"
 
 
+def test_the_page_of_scenarios_is_what_the_models_say_and_lacks_nothing():
+    kept = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    assert kept == scenario_reference(), "run: swarmtrack config reference --scenario --out docs/scenarios.md"
+    rows = re.findall(r"^\| `(.+?)` \| (.*?) \| (.*?) \| (.*) \|$", kept, re.MULTILINE)
+    assert len(rows) > 80
+    assert [key for key, kind, _, meaning in rows if not (kind and meaning)] == []
+    assert {key for key in ScenarioFile.model_fields if f"[{key}]" not in kept and f"| `{key}`" not in kept} == set()
+
+
 def test_both_are_written_where_told(config, tmp_path):
     assert config("schema", "--out", "a.json") == (0, "", "")
     assert json.loads((tmp_path / "a.json").read_text()) == json_schema()
+    assert config("reference", "--scenario", "--out", "a.md")[0] == 0
+    assert (tmp_path / "a.md").read_text() == scenario_reference()
     assert config("reference", "--out", "a.md")[0] == 0
     assert (tmp_path / "a.md").read_text() == reference()
     assert json.loads(config("schema")[1]) == json_schema()

@@ -106,21 +106,21 @@ DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_SCENARIO_DRONES)]
 class ScenarioCameraSection(Section):
     """[camera], or one of [[camera]]: what every drone carries."""
 
-    fps: Annotated[Positive, Field(le=1000.0)] = 15.0
+    fps: Annotated[Positive, Field(le=1000.0)] = Field(default=15.0, description="frames per second")
     intrinsics: Intrinsics | None = Field(
         default=None,
-        description="the intrinsics as numbers, px; the shipped camera of 73 degrees unless told",
+        description="the intrinsics as numbers, px; the shipped camera of 73 degrees by default",
     )
     distortion: Lens | None = Field(default=None, description="the distortion that goes with intrinsics")
     body_from_camera: Mount | None = Field(
-        default=None, description="where the camera sits; 0.1 m ahead, looking along the nose, unless told"
+        default=None, description="where the camera sits; 0.1 m ahead, looking along the nose, by default"
     )
     phase: Annotated[Number, Field(ge=0.0, lt=1.0)] | None = Field(
         default=None,
-        description="by which share of a frame it exposes late; cameras share a frame evenly unless told",
+        description="by which share of a frame it exposes late; cameras share a frame evenly by default",
     )
     mounting_sigma_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = Field(
-        default=0.0, description="how wrong the config is about its rotation, and says so; degrees per axis"
+        default=0.0, description="error of the config about its rotation, which it states; degrees per axis"
     )
 
     @model_validator(mode="after")
@@ -155,14 +155,18 @@ Cameras = Annotated[tuple[ScenarioCameraSection, ...], BeforeValidator(_listed)]
 class AgentsSection(Section):
     """[agents]: values for the configs of the agents."""
 
-    imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = 200.0
-    tracks_hz: Annotated[Positive, Field(le=1000.0)] = 100.0
+    imu_rate_hz: Annotated[Positive, Field(le=1000.0)] = Field(
+        default=200.0, description="IMU rate requested from the autopilot"
+    )
+    tracks_hz: Annotated[Positive, Field(le=1000.0)] = Field(
+        default=100.0, description="highest rate of published tracks"
+    )
     position_sigma_m: Positive = Field(
         default=0.05, description="standard deviation of the measured starts, m per axis"
     )
-    announce: Switch = Field(default=True, description="false: they tell each other nothing")
+    announce: Switch = Field(default=True, description="false: they send each other nothing")
     share_hz: ShareRate | None = Field(
-        default=None, description="how often they tell how they move; never unless told"
+        default=None, description="how often they share their velocities; never without this key"
     )
     late: Annotated[int, Strict(), Field(ge=0)] = Field(
         default=0, description="how many agents start late: those with the highest IDs"
@@ -170,7 +174,7 @@ class AgentsSection(Section):
     late_by_s: Positive = Field(default=8.0, description="how late they start, s")
     swapped: tuple[DroneId, ...] = Field(
         default=(),
-        description="drones that stand on each other's places: each config tells the next one's start",
+        description="drones that stand on each other's places: each config has the next one's start",
     )
 
 
@@ -182,7 +186,7 @@ class ClocksSection(Section):
     )
     autopilot_skew_ppm: tuple[Annotated[Number, Field(ge=-1000.0, le=1000.0)], ...] = Field(
         default=(),
-        description="how much too fast the autopilot's clock runs; 100 to 200 either way unless told",
+        description="how much too fast the autopilot's clock runs; 100 to 200 either way by default",
     )
     camera_offset_s: tuple[Annotated[Number, Field(ge=-0.15, le=0.15)], ...] = Field(
         default=(), description="by how much the stamps of the camera's frames are late, s"
@@ -207,14 +211,14 @@ class StarSection(Section):
     )
     takes_off_s: NotNegative | None = Field(
         default=None,
-        description="when all take off, world time, s; unless told they hover from the beginning",
+        description="when all take off, world time, s; by default they hover from the beginning",
     )
     engages_s: Positive = Field(
         default=3.0, description="when the followers' pilots let their agents fly, world time, s"
     )
     judged_from_s: Positive = Field(description="from when on slots are judged, world time, s")
     leader_leaves_s: Positive | None = Field(
-        default=None, description="from when on nobody sees the leader any more, world time, s"
+        default=None, description="from when on no drone sees the leader any more, world time, s"
     )
     sticks: Annotated[tuple[Stick, ...], Field(min_length=2)] = Field(
         description="how the leader's pilot flies; at rest first and last"
@@ -258,15 +262,21 @@ class FormationSection(Section):
 
     drones: DroneCount = Field(description="how many drones, unless the command asks for another number")
     autopilots: tuple[AutopilotKind, ...] = Field(
-        default=(), description="whose manners their autopilots have, taken in turn; ArduPilot's unless told"
+        default=(), description="kinds of their autopilots, taken in turn; ArduPilot by default"
     )
-    ring: Ring | None = None
-    lanes: Lanes | None = None
-    errand: Errand | None = None
-    star: StarSection | None = None
-    sway: Sway | None = None
-    weave: Weave | None = None
-    swing: Swing | None = None
+    ring: Ring | None = Field(default=None, description="shape: a circle, looking at its middle")
+    lanes: Lanes | None = Field(default=None, description="shape: two sides of lanes that face each other")
+    errand: Errand | None = Field(
+        default=None, description="shape and flight: a circle on the ground, take-offs, go-tos"
+    )
+    star: StarSection | None = Field(
+        default=None, description="shape and flight: followers behind a leader, flown by their agents"
+    )
+    sway: Sway | None = Field(default=None, description="flight: each drone oscillates about its station")
+    weave: Weave | None = Field(
+        default=None, description="flight, with lanes: the lanes swing sideways against each other"
+    )
+    swing: Swing | None = Field(default=None, description="in addition: each drone looks left and right")
 
     @model_validator(mode="after")
     def _one_shape_and_one_flight(self) -> FormationSection:
@@ -293,10 +303,10 @@ class FormationSection(Section):
 class OscillationSection(Section):
     """centre + amplitude sin(2π frequency t + phase), each [north, east, down]."""
 
-    centre_m: Place
-    amplitude_m: Place
-    frequency_hz: Vector
-    phase_rad: Vector = (0.0, 0.0, 0.0)
+    centre_m: Place = Field(description="[north, east, down], m")
+    amplitude_m: Place = Field(description="[north, east, down], m")
+    frequency_hz: Vector = Field(description="of each axis")
+    phase_rad: Vector = Field(default=(0.0, 0.0, 0.0), description="of each axis at world time 0")
 
 
 class WaypointSection(Section):
@@ -305,8 +315,8 @@ class WaypointSection(Section):
 
 
 class OwnSwingSection(Section):
-    peak_rad_s: Positive
-    period_s: Positive
+    peak_rad_s: Positive = Field(description="highest yaw rate")
+    period_s: Positive = Field(description="of one swing to and fro, s")
 
 
 class PlannedFlight(Section):
@@ -372,11 +382,9 @@ class DroneSection(PlannedFlight):
         default=False, description="true: it has no agent and does not belong to the team"
     )
     guided: Switch = Field(
-        default=False, description="true: it stands there on the ground until somebody flies it by MAVLink"
+        default=False, description="true: it stands there on the ground until a program flies it by MAVLink"
     )
-    autopilot: AutopilotKind = Field(
-        default=AutopilotKind.ARDUPILOT, description="whose manners its autopilot has"
-    )
+    autopilot: AutopilotKind = Field(default=AutopilotKind.ARDUPILOT, description="kind of its autopilot")
 
     @model_validator(mode="after")
     def _guided_or_by_plan(self) -> Self:
@@ -396,7 +404,7 @@ class ScenarioFile(Section):
     """A whole file."""
 
     about: Text = Field(description="one sentence: what it shows")
-    seconds: Positive = Field(description="length of the flight unless the command says otherwise, s")
+    seconds: Positive = Field(description="length of the flight without --seconds, s")
     hover_s: NotNegative = Field(default=HOVER_S, description="how long all drones hover first, s")
     drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
         default=DRIFT_M, description="error with which a drone holds its position, RMS per axis, m"

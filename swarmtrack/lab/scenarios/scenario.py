@@ -113,7 +113,7 @@ DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
 class ScenarioFault(Section):
     """[[fault]]: what goes wrong from world time `at_s` on for `seconds`, with `drones`."""
 
-    kind: FaultKind
+    kind: FaultKind = Field(description="what fails; a loss, a latency and clutter have a value")
     at_s: NotNegative = Field(description="when it starts, world time, s")
     seconds: NotNegative = Field(
         default=0.0,
@@ -163,11 +163,11 @@ class ScenarioFault(Section):
 
 
 class Radio(Section):
-    """[radio]: every link of the team's radio, all the time. jitter_s: ± of the latency."""
+    """[radio]: every link of the team's radio, all the time."""
 
-    loss: Share = 0.0
-    latency_s: NotNegative = 0.0
-    jitter_s: NotNegative = 0.0
+    loss: Share = Field(default=0.0, description="share of the frames that are lost")
+    latency_s: NotNegative = Field(default=0.0, description="delay of every frame, s")
+    jitter_s: NotNegative = Field(default=0.0, description="±, of the latency, s")
     kbit_s: Annotated[Number, Field(ge=1.0, le=1e6)] | None = Field(
         default=None, description="what each drone's radio sends at most, kbit/s"
     )
@@ -191,7 +191,9 @@ class Ghost:
 class Ghosts(Section):
     """[ghosts]: fixed points on which the detector fires again and again."""
 
-    count: Annotated[int, Strict(), Field(ge=0, le=1000)] = 4
+    count: Annotated[int, Strict(), Field(ge=0, le=1000)] = Field(
+        default=4, description="how many; none without this table"
+    )
     p_detection: tuple[Share, Share] = Field(default=(0.3, 0.9), description="per frame, [least, most]")
     score: tuple[Share, Share] = Field(default=(0.47, 0.64), description="[least, most]")
     distance_m: Range = Field(default=(12.0, 40.0), description="[nearest, farthest], m")
@@ -562,7 +564,7 @@ class Weave(Section):
     Each side has its own period, drawn from a range of s. As its lanes share it, they meet where both are fast.
     """
 
-    reach_m: Positive
+    reach_m: Positive = Field(description="to either side, m")
     period_s: Range = Field(description="[shortest, longest], s")
 
     def path(self, world: World, drone_id: int, station: Station) -> Path:
@@ -575,7 +577,7 @@ class Weave(Section):
 class Swing(Section):
     """Looking left and right, up to `peak_rad_s`; each drone in its own time, its period drawn from a range of s."""
 
-    peak_rad_s: Positive
+    peak_rad_s: Positive = Field(description="highest yaw rate")
     period_s: Range = Field(description="[shortest, longest], s")
 
     def view(self, world: World, drone_id: int, heading: float, departs_s: float) -> YawProfile:

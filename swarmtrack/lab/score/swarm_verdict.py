@@ -30,39 +30,41 @@ class Limits:
     """What is expected of a flight, unless its scenario says otherwise in [expected]."""
 
     correct: float = 0.97
-    """At least."""
+    """Right names, at least, as a share."""
     proved: float = 0.0
-    """At least, of correct names, by motion: 0 where nobody tells how it moves."""
+    """Of correct names, at least, confirmed by motion: 0 where no drone shares its velocity."""
     wrong: float = 0.001
-    """At most."""
+    """Wrong names, at most, as a share."""
     agreement: float = 0.99
     """At least, where two observers see the same drone."""
     time_to_identify_s: float = 2.0
+    """At most, from a drone's appearance to its name, s."""
     rmse_px: float = 2.5
-    """In an image of `REFERENCE_WIDTH`."""
+    """At most, of the tracks, in an image 640 px wide."""
     all_known_s: float = 5.0
-    """From the last start of an agent until each has everybody's announcement."""
+    """At most, from the last start of an agent until each has all announcements, s."""
     rate: float = 0.95
     """Of tracks and IMU samples: at least this share of what the configs ask for."""
     false_tracks_per_s: float = 0.2
     """At most, of one observer: tracks of nothing."""
     announcement_bytes: int = 300
+    """At most, of one announcement as it is received."""
     first_tracks_s: float = 5.0
-    """From the beginning of the flight, or from a late agent's start, to its first tracks."""
+    """At most, from the beginning of the flight, or from a late agent's start, to its first tracks, s."""
     slot_p50_m: float = 1.0
-    """Of flights in formation: half of all errors of slots are at most so large,"""
+    """In formation: half of all distances from a slot are at most so large, m."""
     slot_p95_m: float = 2.5
-    """95 % of them,"""
+    """In formation: 95 % of them, m."""
     slot_end_p95_m: float = 1.5
-    """and 95 % of the followers' mean errors at the end."""
+    """In formation: 95 % of the followers' mean distances at the end, m."""
     separation_m: float = NEAR_MISS_M
-    """At least, at any time."""
+    """In formation: distance between any two drones, at least, at any time, m."""
     lost: int = 0
-    """At most, of followers."""
+    """In formation: followers far off their slots at the end, at most."""
     leader_gone_m_s: float = 0.5
-    """Of the fastest follower, 4 s after the leader has left everybody's view."""
+    """In formation: speed of the fastest follower, at most, 4 s after the leader has left every view, m/s."""
     leader_gone_m: float = 6.0
-    """As far any follower flies on."""
+    """In formation: how far any follower flies on then, at most, m."""
 
 
 @dataclass(frozen=True, slots=True)

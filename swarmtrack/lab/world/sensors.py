@@ -237,10 +237,15 @@ class DetectorParameters:
     """A detector as the tracking literature has it: misses, Gaussian errors, Poisson clutter; and boxes that merge."""
 
     p_detection: float = 0.95
-    centre_sigma: float = 1.0  # px
-    size_sigma: float = 0.05  # relative
+    """Probability that a drone in view is found in a frame."""
+    centre_sigma: float = 1.0
+    """Error of a box's centre, px per axis."""
+    size_sigma: float = 0.05
+    """Error of a box's sides, relative."""
     clutter_per_frame: float = 0.1
-    p_merged: float = 0.3  # that of two drones which overlap heavily, one box around both is found
+    """Mean number of false detections."""
+    p_merged: float = 0.3
+    """Probability that of two drones which overlap heavily one box around both is found."""
 
     def __post_init__(self) -> None:
         for name, most in (("p_detection", 1.0), ("p_merged", 1.0), ("clutter_per_frame", 1000.0)):
