@@ -63,7 +63,7 @@ def add_intrinsics_command(steps: Any) -> None:
         help="lens model: equidistant for fisheyes, above about 100 degrees (default: %(default)s)",
     )
     add_seconds(intrinsics, "--seconds", "end after S seconds (default: %(default)g)", default=SECONDS)
-    add_file(intrinsics, "--plot", "a PNG of residuals (needs swarmtrack[bench])")
+    add_file(intrinsics, "--plot", "a PNG of residuals (needs matplotlib)")
     add_flag(intrinsics, "--json", "print JSON")
     _add_board_arguments(intrinsics)
 

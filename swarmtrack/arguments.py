@@ -158,7 +158,10 @@ def require_extra(extra: str, *packages: str, of: str) -> None:
     """
     missing = [package for package in packages if find_spec(package) is None]
     if missing:
-        raise MissingExtraError(f"{of} needs {' and '.join(missing)}: pip install 'swarmtrack[{extra}]'")
+        by_name = f"pip install {' '.join(missing)}"
+        raise MissingExtraError(
+            f"{of} needs {' and '.join(missing)}: {by_name}, or in swarmtrack's source pip install '.[{extra}]'"
+        )
 
 
 def page(name: str) -> str:

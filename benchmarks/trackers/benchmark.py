@@ -84,7 +84,7 @@ BENCH = Benchmark(
         option("--runs", "of every scene (default: its own, 100 or 300)", type=int, metavar="N"),
         option("--tracker", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
         option("--scene", "(default: all)", action="extend", nargs="+", default=[], metavar="NAME"),
-        flag("--peers", "Stone Soup's, too (needs swarmtrack[peers])"),
+        flag("--peers", "Stone Soup's, too (needs stonesoup and pyehm)"),
         option("--jobs", "processes (default: one a core)", type=int, default=os.cpu_count(), metavar="N"),
     ),
     record=page.as_json,

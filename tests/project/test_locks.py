@@ -181,6 +181,9 @@ def test_a_command_that_needs_more_says_in_one_line_which_extra_brings_it(
     assert main([word.replace("OUT", str(tmp_path)) for word in command]) == 2
     said = capsys.readouterr().err.splitlines()
     assert len(said) == 1
-    assert said[0].endswith(f" needs {' and '.join(missing)}: pip install 'swarmtrack[{extra}]'")
+    assert said[0].endswith(
+        f" needs {' and '.join(missing)}: pip install {' '.join(missing)}, "
+        f"or in swarmtrack's source pip install '.[{extra}]'"
+    )
     brought = {requirement.name for requirement in wanted(*EXTRAS[extra])}
     assert set(missing) <= brought
