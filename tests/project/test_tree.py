@@ -7,8 +7,9 @@ import pytest
 from support.places import ROOT
 
 TOP = {
-    ".ci", ".dockerignore", ".gitignore", "CHANGELOG.md", "LICENSE", "README.md", "agents", "benchmarks",
-    "configs", "docker", "docs", "pyproject.toml", "requirements-dev.lock", "requirements.lock", "swarmtrack", "tests",
+    ".ci", ".dockerignore", ".gitignore", "CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "agents",
+    "benchmarks", "configs", "docker", "docs", "mkdocs.yml", "pyproject.toml", "requirements-dev.lock",
+    "requirements.lock", "swarmtrack", "tests",
 }  # fmt: skip
 
 
