@@ -6,11 +6,13 @@ a page or file that is not there, or promise a next step that does not work.
 
 from __future__ import annotations
 
+import importlib
 import json
 import os
 import re
 import secrets
 import shlex
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,11 +21,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from urllib.request import urlopen
 
+import cv2
+import numpy as np
 import pytest
 
 from support.clips import shorten
 from support.patience import PATIENCE
-from support.places import ROOT, SHARED
+from support.places import DOCS, ROOT, SHARED
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
@@ -49,11 +53,13 @@ class Stranger:
 
     def start(self, command: str) -> subprocess.Popen[str]:
         program, *words = shlex.split(command)
-        module = {"swarmtrack": "swarmtrack.agents.main", "swarmtrack-agent": "swarmtrack.agents.vehicle"}[
-            program
-        ]
+        ways = {
+            "swarmtrack": ["-m", "swarmtrack.agents.main"],
+            "swarmtrack-agent": ["-m", "swarmtrack.agents.vehicle"],
+            "python": [],
+        }
         return subprocess.Popen(
-            [sys.executable, "-m", module, *words],
+            [sys.executable, *ways[program], *words],
             stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
             text=True, cwd=self.folder, env=self.environment,
         )  # fmt: skip
@@ -166,9 +172,14 @@ def test_mistakes_are_answered_in_a_sentence(stranger: Stranger, mistakes: dict[
 def test_a_config_from_the_first_question_to_the_doctor_and_keys(stranger: Stranger) -> None:
     said = stranger.types("swarmtrack config new --id 1 --start 0 0 0 90 --autopilot px4-uart")
     (following,) = re.findall(r"next: (swarmtrack .*)", said)
-    stranger.types("swarmtrack config new --id 2 --start 0 3 0 90")
+    said = stranger.types("swarmtrack config new --id 2 --start 0 3 0 90")
+    assert "camera, lens and autopilot as in drone-1.toml" in said
+    assert "the lens is guessed: 70°" in said
     assert "agree with each other" in stranger.types("swarmtrack config check drone-1.toml drone-2.toml")
     stranger.types("swarmtrack-agent --config drone-1.toml --check")
+    stranger.types("swarmtrack config new --ids 11-15 --grid 3 --fov 78 --out team")
+    five = " ".join(f"team/drone-{number}.toml" for number in range(11, 16))
+    assert "drones 11, 12, 13, 14, 15 agree" in stranger.types(f"swarmtrack config check {five}")
     stranger.types("swarmtrack config new --example")
     stranger.types("swarmtrack config check example.toml")
     stranger.types("swarmtrack config schema --out schema.json")
@@ -237,3 +248,44 @@ def test_a_video_of_ones_own(stranger: Stranger) -> None:
     # What stands in the config that it wrote.
     (again,) = re.findall(r"swarmtrack-agent .*", (stranger.folder / "seen" / "agent.toml").read_text())
     stranger.types(again.replace("agent.toml", "seen/agent.toml") if "seen/" not in again else again)
+
+
+def test_a_network_of_ones_own(stranger: Stranger) -> None:
+    pytest.importorskip("onnx", reason="a network is made here")
+    nets = importlib.import_module("support.foreign_nets")
+    names = nets.ultralytics("cat", "glider")
+    nets.spot_net(stranger.folder / "own.onnx", "yolo_v8", scores=(0.1, 0.9), written=names)
+    code = cv2.VideoWriter.fourcc(*"MJPG")
+    video = cv2.VideoWriter(str(stranger.folder / "spot.avi"), code, 30.0, (160, 128))
+    for k in range(40):
+        image = np.zeros((128, 160, 3), np.uint8)
+        cv2.circle(image, (30 + 2 * k, 64), 4, (255, 255, 255), -1)
+        video.write(image)
+    video.release()
+    refused = stranger.types("swarmtrack video spot.avi --model own.onnx --out own", 2)
+    assert "cat, glider" in refused
+    assert "classes" in refused
+    stranger.types("swarmtrack video spot.avi --model own.onnx --classes glider --out own-2")
+    assert len((stranger.folder / "own-2" / "tracks.csv").read_text().splitlines()) > 20
+
+
+def test_the_tutorial_from_its_first_command_to_ones_own_tracker(tmp_path: Path) -> None:
+    """Each command of the page, in its order; the page's own change of the tracker included."""
+    stranger, page = Stranger(tmp_path), (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    shutil.copy(DOCS / "examples" / "nearest_neighbour.py", tmp_path)
+    (scenario,) = re.findall(r"```toml\n(.*?)```", page, re.DOTALL)
+    (tmp_path / "mine.toml").write_text(scenario, encoding="utf-8")
+    blocks = re.findall(r"^(?!<!-- not run.*)\n```sh\n(.*?)```", page, re.DOTALL | re.MULTILINE)
+    commands = [line for block in blocks for line in block.splitlines() if line]
+    assert len(commands) > 7
+    for command in commands:
+        said = stranger.types(command, *FLOWN)
+        if "replay" in command:
+            assert ("nearest)" in said) is command.endswith("--tracker nearest")
+            assert re.search("PASSED|FAILED|NOT JUDGED", said)
+    tracker = tmp_path / "nearest_neighbour.py"
+    (changed,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    text, replaced = re.subn(r"    for row in range\(.*\n", changed, tracker.read_text(encoding="utf-8"))
+    assert replaced == 1
+    tracker.write_text(text, encoding="utf-8")
+    stranger.types("python nearest_neighbour.py replay flight --tracker nearest", *FLOWN)

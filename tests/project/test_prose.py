@@ -10,7 +10,12 @@ import pytest
 
 from support.places import ROOT
 
-PAGES = [ROOT / "README.md", ROOT / "CHANGELOG.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CHANGELOG.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").rglob("*.md")),
+]
 WAITS = {
     "docs/decisions/0007-keys.md",
     "docs/decisions/0011-trackers.md",

@@ -558,7 +558,9 @@ def test_the_page_of_scenarios_is_what_the_models_say_and_lacks_nothing():
     rows = re.findall(r"^\| `(.+?)` \| (.*?) \| (.*?) \| (.*) \|$", kept, re.MULTILINE)
     assert len(rows) > 80
     assert [key for key, kind, _, meaning in rows if not (kind and meaning)] == []
-    assert {key for key in ScenarioFile.model_fields if f"[{key}]" not in kept and f"| `{key}`" not in kept} == set()
+    assert {
+        key for key in ScenarioFile.model_fields if f"[{key}]" not in kept and f"| `{key}`" not in kept
+    } == set()
 
 
 def test_both_are_written_where_told(config, tmp_path):
