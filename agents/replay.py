@@ -353,7 +353,7 @@ def _judge(flight: Recording, flown: list[_Flown], as_heard: Judged | None, what
     unreplayed = judged.unreplayed(answers)
     if unreplayed:
         print(f"{unreplayed} messages with tracks have no recorded inputs")
-    if not what_if:
+    if not what_if and judged.recorded is not None:
         differences = judged.differences
         print(
             "the verdict is the recorded one" if not differences else "the verdict is not the recorded one:"

@@ -302,12 +302,12 @@ async def _fly(plan: FlightPlan, capacity: Capacity, spectator: Spectator, landi
 
 
 def print_verdict(report: SwarmReport, console: Console) -> None:
-    from swarmtrack.lab.swarm.table import agents_table, conclusion, team_table
+    """The tables, then the headline."""
+    from swarmtrack.lab.swarm.table import advice, agents_table, headline, team_table
 
     console.print(agents_table(report))
     console.print(team_table(report))
-    words, lines = conclusion(report)
     colour = {PASSED: "green", FAILED: "red", NOT_JUDGED: "yellow"}[exit_code(report)]
-    console.print(words, style=f"bold {colour}", highlight=False, soft_wrap=True)
-    for line in lines:
-        console.print(f"  {line}", highlight=False, soft_wrap=True)
+    console.print(headline(report), style=f"bold {colour}", highlight=False, soft_wrap=True)
+    if hint := advice(report):
+        console.print(f"  {hint}", highlight=False, soft_wrap=True)

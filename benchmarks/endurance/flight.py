@@ -103,7 +103,7 @@ async def until_standing(swarm: Swarm, folder: Path, drones: int) -> None:
 
 
 async def landed(swarm: Swarm, folder: Path) -> dict[str, Any]:
-    """Waits for its verdict, and returns it; `shortfalls`: the sentences that it gave for it."""
+    """Waits for its verdict, and returns it."""
     try:
         await asyncio.wait_for(swarm.launcher.wait(), LANDING_S)
     except TimeoutError:
@@ -111,9 +111,8 @@ async def landed(swarm: Swarm, folder: Path) -> dict[str, Any]:
     file = folder / "verdict.json"
     if not file.exists():
         raise swarm.failed(f"the swarm ended with {swarm.launcher.returncode} and no verdict")
-    said = [line.strip() for line in swarm.said]
-    shortfalls = said[said.index("FAILED") + 1 :] if "FAILED" in said else []
-    return {**json.loads(file.read_text(encoding="utf-8")), "shortfalls": shortfalls}
+    found: dict[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+    return found
 
 
 def name_of(pid: int) -> str | None:

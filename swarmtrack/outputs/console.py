@@ -7,7 +7,7 @@ import math
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TextIO
 
 from swarmtrack.geometry.camera import PinholeCamera
@@ -23,13 +23,12 @@ ANSI = ["33", "36", "32", "93", "34", "31", "35"]
 
 @dataclass(slots=True)
 class TimeInView:
-    """When someone was first and last tracked, over how many scans, under how many track ids in turn."""
+    """When someone was first and last tracked, over how many scans, as which tracks."""
 
     first_t: float
     last_t: float
-    scans: int
-    track_id: int
-    tracks: int
+    scans: int = 0
+    tracks: set[int] = field(default_factory=set)
 
 
 class Console:
@@ -54,11 +53,10 @@ class Console:
         self._scans += 1
         self._report = report
         for entry in filter(_is_confirmed, report.tracks.tracks):
-            seen = self._seen.setdefault(entry.identity, TimeInView(t, t, 0, -1, 0))
+            seen = self._seen.setdefault(entry.identity, TimeInView(t, t))
             seen.scans += seen.last_t < t or seen.scans == 0
             seen.last_t = t
-            if entry.track.id != seen.track_id:
-                seen.track_id, seen.tracks = entry.track.id, seen.tracks + 1
+            seen.tracks.add(entry.track.id)
 
     def line(self, footnotes: Iterable[str]) -> None:
         """One line: who is in view, where, how surely; then how the agent is doing."""
@@ -81,7 +79,7 @@ class Console:
         for identity, seen in sorted(self._seen.items(), key=lambda item: str(item[0])):
             began = seen.first_t - (self._start or 0.0)
             share = 100.0 * seen.scans / max(self._scans, 1)
-            tracks = f"{seen.tracks} track{'s' if seen.tracks > 1 else ''}"
+            tracks = f"{len(seen.tracks)} track{'s' if len(seen.tracks) > 1 else ''}"
             self._print(
                 f"  {name_of(identity):10} in {share:3.0f} % of scans, first at {began:.1f} s, as {tracks}"
             )

@@ -72,7 +72,7 @@ class Judged:
     def differences(self) -> list[str]:
         """Differences of the two verdicts, as `key: recorded, now`."""
         if self.recorded is None:
-            return ["the recording has no verdict: the flight was cut off"]
+            return []
         return list(_differences("", self.recorded, self.report.as_record()))
 
 
@@ -110,6 +110,7 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
         machine_busy=_share(stage.verdict, "machine_busy"),
         others_busy=_share(stage.verdict, "others_busy"),
         detail=detail,
+        cut_off_s=math.nan if stage.verdict is not None else watch.ends_at,
     )
     return Judged(report, stage.verdict, stage.numbers)
 
@@ -153,6 +154,8 @@ class _Stage:
 
     async def play(self) -> None:
         await self._watch.listen(self._samples())
+        if self.verdict is None:
+            self._watch.cut_off(self._watch.t)
         await self._watch.judge_the_rest()
 
     async def _samples(self) -> AsyncIterator[Sample]:

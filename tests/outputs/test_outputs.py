@@ -39,10 +39,10 @@ def report(t, *tracks, sequence=0):
     return ScanReport(sequence, TrackList(t, t, tracks))
 
 
-def track(u, v, identity=None, size=(30.0, 20.0), status=TrackStatus.CONFIRMED, t=0.0):
+def track(u, v, identity=None, size=(30.0, 20.0), status=TrackStatus.CONFIRMED, t=0.0, id=7):
     mean = np.array([u, 40.0, v, -20.0])
     cov = np.diag([4.0, 100.0, 9.0, 100.0])
-    return IdentifiedTrack(Track(7, t, mean, cov, status, 0.99, np.array(size)), identity, 0.97)
+    return IdentifiedTrack(Track(id, t, mean, cov, status, 0.99, np.array(size)), identity, 0.97)
 
 
 def test_pixels_are_those_of_the_distorted_image():
@@ -297,6 +297,15 @@ def test_the_console_tells_who_is_seen_and_sums_up():
     assert "    1.5 s  no frame since   (camera 0 Hz)" in text  # not where somebody was seen before it
     assert "drone 2    in  75 % of scans, first at 0.5 s, as 1 track" in text
     assert "one fact" in text
+
+
+def test_the_summary_counts_tracks_and_not_their_turns():
+    stream = io.StringIO()
+    console = Console(LENS, quiet=False, stream=stream)
+    for k in range(4):
+        console.on_scan(report(0.5 * k, track(100.0, 240.0, id=3), track(320.0, 240.0, id=4)))
+    console.summary([])
+    assert "in 100 % of scans, first at 0.0 s, as 2 tracks" in stream.getvalue()
 
 
 def test_a_console_that_nobody_reads_any_more_falls_silent():

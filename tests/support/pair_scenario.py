@@ -49,6 +49,4 @@ def is_fair(code: int, said: str) -> bool:
     if code == 3:
         return "NOT JUDGED" in said
     found = said.rpartition("FAILED")[2]
-    return (
-        code == 1 and "FAILED" in said and "identity.wrong" not in found and "announcement_bytes" not in found
-    )
+    return code == 1 and "FAILED" in said and "wrong names" not in found and "announcement bytes" not in found

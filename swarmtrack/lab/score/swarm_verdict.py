@@ -6,7 +6,7 @@ import enum
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from swarmtrack.lab.score.formation_score import NEAR_MISS_M, FormationScore
 from swarmtrack.lab.score.relative_score import NO_PLACES, RelativeScore
@@ -22,7 +22,26 @@ class Verdict(enum.StrEnum):
     PASSED = "passed"
     FAILED = "failed"
     NOT_JUDGED = "not judged"
-    """Nothing is wrong, but something came late or not at all, on a machine that had no time left."""
+    """Nothing is wrong, but the flight was cut off, or something came late or not at all on a machine without time."""
+
+
+class Shortfall(NamedTuple):
+    """A figure that is not as expected. key: its name in the JSON; drones: those concerned, the worst first."""
+
+    key: str
+    found: str
+    expected: str = ""
+    drones: tuple[int, ...] = ()
+
+    def __str__(self) -> str:
+        match self.drones:
+            case ():
+                whose = ""
+            case (drone_id,):
+                whose = f" of drone {drone_id}"
+            case (worst, *_):
+                whose = f" of {len(self.drones)} drones, worst of drone {worst}"
+        return f"{self.key}{whose}: {self.found}" + (f", expected {self.expected}" if self.expected else "")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +113,7 @@ class AgentFigures:
 class SwarmReport:
     """All numbers of one flight, and what they should have been. machine_busy, others_busy: the share of all cores'
     time that was spent, and by other programs, while something was late, else over the whole flight; NaN where nobody
-    knows. detail: how much of the scenario was simulated."""
+    knows. detail: how much of the scenario was simulated. cut_off_s: when the flight was cut off, NaN: it was not."""
 
     scenario: str
     drones: int
@@ -114,25 +133,32 @@ class SwarmReport:
     machine_busy: float = math.nan
     others_busy: float = math.nan
     detail: str = "full"
+    cut_off_s: float = math.nan
 
     @property
-    def shortfalls(self) -> list[str]:
-        """One sentence for every number that is not as expected; none: passed."""
+    def shortfalls(self) -> list[Shortfall]:
+        """One for every number that is not as expected, what is wrong first; none: passed."""
         return [*self.wrongs, *self.shortfalls_of_timing]
 
     @property
     def passed(self) -> bool:
-        return not self.shortfalls
+        return self.verdict is Verdict.PASSED
+
+    @property
+    def is_cut_off(self) -> bool:
+        return not math.isnan(self.cut_off_s)
 
     @property
     def verdict(self) -> Verdict:
-        if self.passed:
+        if self.is_cut_off and not self.wrongs:
+            return Verdict.NOT_JUDGED
+        if not self.shortfalls:
             return Verdict.PASSED
         excused = not self.wrongs and self.machine_busy > BUSY
         return Verdict.NOT_JUDGED if excused else Verdict.FAILED
 
     @property
-    def wrongs(self) -> list[str]:
+    def wrongs(self) -> list[Shortfall]:
         """What is wrong, and not only late or missing: no busy machine is an excuse."""
         score, limits = self.score, self.limits
         short = self._too_much_said()
@@ -140,44 +166,48 @@ class SwarmReport:
             return short
         # Written so that NaN fails, where not said otherwise.
         if not score.wrong <= limits.wrong:
-            short.append(f"identity.wrong: {score.wrong:.4f}, expected {limits.wrong:g} at most")
+            short.append(Shortfall("identity.wrong", f"{score.wrong:.4f}", f"{limits.wrong:g} at most"))
         if score.agreement < limits.agreement:  # NaN: nobody shared a view, which is no disagreement
-            short.append(f"identity.agreement: {score.agreement:.4f}, expected {limits.agreement:g} at least")
+            found = f"{score.agreement:.4f}"
+            short.append(Shortfall("identity.agreement", found, f"{limits.agreement:g} at least"))
         if score.false_tracks_per_s > limits.false_tracks_per_s:
             found = f"{score.false_tracks_per_s:.3f}"
             short.append(
-                f"tracking.false_tracks_per_s: {found}, expected {limits.false_tracks_per_s:g} at most"
+                Shortfall("tracking.false_tracks_per_s", found, f"{limits.false_tracks_per_s:g} at most")
             )
         apart = math.inf if self.formation is None else self.formation.min_separation_m
         if not apart >= limits.separation_m:
             short.append(
-                f"formation.min_separation_m: {apart:.2f}, expected {limits.separation_m:g} at least"
+                Shortfall("formation.min_separation_m", f"{apart:.2f}", f"{limits.separation_m:g} at least")
             )
         return short
 
     @property
-    def shortfalls_of_timing(self) -> list[str]:
+    def shortfalls_of_timing(self) -> list[Shortfall]:
         """What a machine without time spoils: correct names are fewer where tracks come late, and who gets no time at
         all says nothing."""
         score, limits, short = self.score, self.limits, self._unheard()
         if not score.samples:
             return [
-                "identity: nothing to judge, expected a teammate in view of another for more than a second",
+                Shortfall(
+                    "identity", "nothing to judge", "a teammate in view of another for more than a second"
+                ),
                 *short,
             ]
         if not score.correct >= limits.correct:
-            short.append(f"identity.correct: {score.correct:.4f}, expected {limits.correct:g} at least")
+            short.append(
+                Shortfall("identity.correct", f"{score.correct:.4f}", f"{limits.correct:g} at least")
+            )
         if limits.proved > 0.0 and not score.proved >= limits.proved:
-            short.append(f"identity.proved: {score.proved:.4f}, expected {limits.proved:g} at least")
+            short.append(Shortfall("identity.proved", f"{score.proved:.4f}", f"{limits.proved:g} at least"))
         if not self.all_known_s <= limits.all_known_s:
             took = (
                 "never complete"
                 if math.isnan(self.all_known_s)
                 else f"complete after {self.all_known_s:.1f} s"
             )
-            short.append(
-                f"announcements: {took}, expected {limits.all_known_s:g} s after the last start at most"
-            )
+            expected = f"{limits.all_known_s:g} s after the last start at most"
+            short.append(Shortfall("announcements", took, expected))
         late = {a.drone_id: a.first_tracks_s - a.start_s for a in self._heard}
         tracks = {a.drone_id: a.track_rate_hz for a in self._heard}
         imu = {a.drone_id: a.imu_rate_hz for a in self._heard}
@@ -193,7 +223,7 @@ class SwarmReport:
             *self._shortfalls_of_slots(),
         ]
 
-    def _shortfalls_of_slots(self) -> list[str]:
+    def _shortfalls_of_slots(self) -> list[Shortfall]:
         """Who follows by sight needs a computer that looks."""
         formation, limits = self.formation, self.limits
         if formation is None:
@@ -210,7 +240,7 @@ class SwarmReport:
                 ("leader_gone.flown_on_m", formation.gone.flown_on_m, limits.leader_gone_m),
             ]
         return [
-            f"formation.{name}: {_said(value)}, expected {most:g} at most"
+            Shortfall(f"formation.{name}", _said(value), f"{most:g} at most")
             for name, value, most in found
             if not value <= most
         ]
@@ -219,18 +249,18 @@ class SwarmReport:
     def _heard(self) -> list[AgentFigures]:
         return [agent for agent in self.agents if not math.isnan(agent.first_tracks_s)]
 
-    def _unheard(self) -> list[str]:
+    def _unheard(self) -> list[Shortfall]:
         """Who says nothing."""
         short = []
         unheard = [agent.drone_id for agent in self.agents if math.isnan(agent.first_tracks_s)]
         if unheard:
-            short.append(f"{_drones(unheard)}: no tracks were received")
+            short.append(Shortfall(_drones(unheard), "no tracks were received"))
         silent = [agent.drone_id for agent in self._heard if agent.announcement_bytes is None]
         if silent:
-            short.append(f"{_drones(silent)}: never announced itself")
+            short.append(Shortfall(_drones(silent), "never announced itself"))
         return short
 
-    def _too_much_said(self) -> list[str]:
+    def _too_much_said(self) -> list[Shortfall]:
         """In one announcement."""
         size = {
             a.drone_id: float(a.announcement_bytes) for a in self._heard if a.announcement_bytes is not None
@@ -282,6 +312,8 @@ class SwarmReport:
             "detail": self.detail,
             "machine_busy": _rounded(self.machine_busy, 3),
             "others_busy": _rounded(self.others_busy, 3),
+            "cut_off_s": _rounded(self.cut_off_s, 1),
+            "shortfalls": [str(short) for short in self.shortfalls],
             "verdict": self.verdict,
             "passed": self.passed,
         }  # fmt: skip
@@ -328,25 +360,24 @@ def _said(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:.2f}"
 
 
-def _above(name: str, values: Mapping[int, float], most: float, *, digits: int) -> list[str]:
-    """A sentence on the drones whose value is above `most`, if any; NaN is."""
+def _above(key: str, values: Mapping[int, float], most: float, *, digits: int) -> list[Shortfall]:
+    """Of the drones whose value is above `most`, if any; NaN is."""
     over = {drone_id: value for drone_id, value in values.items() if not value <= most}
-    return _sentence(name, over, f"{most:g} at most", digits, worst=lambda value: value)
+    return _short(key, over, f"{most:g} at most", digits, badness=lambda value: value)
 
 
-def _below(name: str, values: Mapping[int, float], least: float, *, digits: int) -> list[str]:
+def _below(key: str, values: Mapping[int, float], least: float, *, digits: int) -> list[Shortfall]:
     under = {drone_id: value for drone_id, value in values.items() if not value >= least}
-    return _sentence(name, under, f"{least:g} at least", digits, worst=lambda value: -value)
+    return _short(key, under, f"{least:g} at least", digits, badness=lambda value: -value)
 
 
-def _sentence(
-    name: str, values: Mapping[int, float], expected: str, digits: int, worst: Callable[[float], float]
-) -> list[str]:
+def _short(
+    key: str, values: Mapping[int, float], expected: str, digits: int, badness: Callable[[float], float]
+) -> list[Shortfall]:
     if not values:
         return []
-    drone_id = max(values, key=lambda d: math.inf if math.isnan(values[d]) else worst(values[d]))
-    who = f"drone {drone_id}" if len(values) == 1 else f"{len(values)} drones, worst of drone {drone_id}"
-    return [f"{name} of {who}: {values[drone_id]:.{digits}f}, expected {expected}"]
+    drones = sorted(values, key=lambda d: -math.inf if math.isnan(values[d]) else -badness(values[d]))
+    return [Shortfall(key, f"{values[drones[0]]:.{digits}f}", expected, tuple(drones))]
 
 
 def _drones(ids: Sequence[int]) -> str:

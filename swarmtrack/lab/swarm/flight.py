@@ -201,6 +201,7 @@ class _SwarmFlight:
         self._agents: dict[int, Child] = {}
         self._killed: asyncio.Queue[int] = asyncio.Queue()
         """Drones whose agents somebody else has killed, and which are to be started again."""
+        self._cut_off_s = math.nan
         self.page: FlightPage | None = None
 
     async def run(self) -> SwarmReport:
@@ -492,7 +493,17 @@ class _SwarmFlight:
             self._spectator.print_line(
                 f"{took_off_at:.0f} s: take-off; the flight ends at {watch.ends_at:.0f} s"
             )
-        await self._until(watch.ends_at + AGENT_LAST_WORDS_S)
+        try:
+            await self._until(watch.ends_at + AGENT_LAST_WORDS_S)
+        except asyncio.CancelledError:
+            task = asyncio.current_task()
+            if task is None or not 0.0 < watch.t < watch.ends_at:
+                raise
+            # Somebody has seen enough: what was flown is judged. A second signal ends all at once.
+            task.uncancel()
+            self._cut_off_s = watch.t
+            watch.cut_off(watch.t)
+            self._spectator.note("interrupted: judging what was flown …")
 
     async def _until(self, world_time: float) -> None:
         """Wait; raises ProcessDied as soon as a process ends that should not."""
@@ -577,6 +588,7 @@ class _SwarmFlight:
             machine_busy=round(spent.busy, 3),
             others_busy=round(spent.by_others, 3),
             detail=plan.detail,
+            cut_off_s=self._cut_off_s,
         )
 
 

@@ -104,7 +104,8 @@ class FlightRecording:
             # What was told is there already, and as it was told: the judge can then find the same between two samples.
             for sample in () if isinstance(drone, FollowedDrone) else self._planned(drone, ended_at):
                 self._recorder.truth(self.epoch, TruePose(sample.t, drone_id, sample.pose))
-        self._recorder.verdict(report.as_record())
+        if not report.is_cut_off:
+            self._recorder.verdict(report.as_record())
         self._recorder.close()
 
     def abandon(self) -> None:

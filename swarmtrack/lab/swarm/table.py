@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console, Group
@@ -17,7 +17,7 @@ from rich.text import Text
 from swarmtrack.lab.scenarios.scenario import ScenarioFault
 from swarmtrack.lab.score.formation_score import FormationScore
 from swarmtrack.lab.score.swarm_score import JudgedTrack, SwarmScore
-from swarmtrack.lab.score.swarm_verdict import Limits, SwarmReport, Verdict
+from swarmtrack.lab.score.swarm_verdict import REFERENCE_WIDTH, Limits, Shortfall, SwarmReport, Verdict
 from swarmtrack.lab.swarm.machine_load import lighter_flights
 from swarmtrack.lab.swarm.watch import AgentView, Watch
 from swarmtrack.messages import FOREIGN, Identity
@@ -26,6 +26,7 @@ from swarmtrack.wire.health import HealthMessage
 
 LARGE_TEAM = 8  # from here on a line has no room for everybody
 LAG_WORTH_A_WORD = 2.0  # s by which judging may be behind
+MOST_CLAUSES = 2  # of a headline: the tables have the rest
 
 
 class Spectator(Protocol):
@@ -85,10 +86,11 @@ class PlainLines:
         line = team_line(watch)
         if len(watch.agents) < LARGE_TEAM:
             for drone_id, agent in watch.agents.items():
-                seen = sightings(agent.seen, watch.team)
-                if self._shown.get(drone_id) != seen.plain:
+                seen = Text(f" | {drone_id} sees ").append_text(sightings(agent.seen, watch.team))
+                # What does not fit comes a second later.
+                if self._shown.get(drone_id) != seen.plain and len(line) + len(seen) <= self._console.width:
                     self._shown[drone_id] = seen.plain
-                    line.append(f" | {drone_id} sees ").append_text(seen)
+                    line.append_text(seen)
         self._console.print(line, highlight=False, soft_wrap=True)
 
     def close(self) -> None: ...
@@ -218,20 +220,31 @@ def agents_table(report: SwarmReport) -> Table:
         "delay ms", "p95", "CPU %", "RSS MB",
     ):  # fmt: skip
         table.add_column(heading, justify="right")
+    short = {short.key: short.drones for short in report.shortfalls}
     for agent in report.agents:
+        named = report.score.time_to_identify_s.get(agent.drone_id, math.nan)
+        rmse = report.score.rmse_px.get(agent.drone_id, math.nan)
+        cells = [
+            (named, 1, "identity.time_to_identify_s"),
+            (rmse, 2, "tracking.rmse_px"),
+            (agent.track_rate_hz, 1, "track_rate_hz"),
+            (agent.imu_rate_hz, 1, "imu_rate_hz"),
+            (agent.detection_rate_hz, 1, ""),
+            (1e3 * agent.latency_p50_s, 0, ""),
+            (1e3 * agent.latency_p95_s, 0, ""),
+            (agent.cpu_percent, 0, ""),
+            (agent.rss_mb, 0, ""),
+        ]
         table.add_row(
             str(agent.drone_id),
-            number(report.score.time_to_identify_s.get(agent.drone_id, math.nan), 1),
-            number(report.score.rmse_px.get(agent.drone_id, math.nan), 2),
-            number(agent.track_rate_hz, 1),
-            number(agent.imu_rate_hz, 1),
-            number(agent.detection_rate_hz, 1),
-            number(1e3 * agent.latency_p50_s, 0),
-            number(1e3 * agent.latency_p95_s, 0),
-            number(agent.cpu_percent, 0),
-            number(agent.rss_mb, 0),
+            *(_found(number(x, digits), agent.drone_id in short.get(key, ())) for x, digits, key in cells),
         )
     return table
+
+
+def _found(text: str, short: bool) -> Text:
+    """Of a table; what falls short is red, and marked where there are no colours."""
+    return Text(f"! {text}", style="bold red") if short else Text(text)
 
 
 def team_table(report: SwarmReport) -> Table:
@@ -240,92 +253,163 @@ def team_table(report: SwarmReport) -> Table:
     for heading in ("", "found", "expected"):
         table.add_column(heading, justify="left" if not heading else "right")
     for row in team_rows(report):
-        table.add_row(*row)
+        table.add_row(row.what, _found(row.found, row.short), row.expected)
     return table
 
 
-def team_rows(report: SwarmReport) -> list[tuple[str, str, str]]:
+class Row(NamedTuple):
     """What was judged, found, expected."""
+
+    what: str
+    found: str
+    expected: str = ""
+    short: bool = False
+
+
+def team_rows(report: SwarmReport) -> list[Row]:
+    """All figures of the team, and those of single drones that fall short."""
+    short = {short.key: short for short in report.shortfalls}
+    rows = _rows_of_team(report)
+    known = {key for key, _ in rows}
+    return [
+        *(row._replace(short=key in short) for key, row in rows),
+        *(_row_of(one) for one in report.shortfalls if one.key not in known),
+    ]
+
+
+def _row_of(short: Shortfall) -> Row:
+    what, _, _ = str(short).partition(": ")
+    expected = short.expected
+    for words, sign in ((" at most", "≤"), (" at least", "≥")):
+        if expected.endswith(words):
+            expected = f"{sign} {expected.removesuffix(words)}"
+    return Row(
+        what.replace("_hz", ", Hz,").replace("imu", "IMU").replace("_", " "), short.found, expected, True
+    )
+
+
+def _rows_of_team(report: SwarmReport) -> list[tuple[str, Row]]:
+    """Each with the key of its shortfall."""
     score, limits = report.score, report.limits
     slowest = max(score.time_to_identify_s.values(), default=math.nan)
     worst = max(score.rmse_px.values(), default=math.nan)
-    rows = [("correct names", share(score.correct), f"≥ {limits.correct:g}")]
+    most_px = limits.rmse_px * report.image_width / REFERENCE_WIDTH
+    rows = [("identity.correct", Row("correct names", share(score.correct), f"≥ {_percent(limits.correct)}"))]
     if score.proved > 0.0 or limits.proved > 0.0:
-        rows.append(("of these confirmed by motion", share(score.proved), f"≥ {limits.proved:g}"))
+        least = f"≥ {_percent(limits.proved)}"
+        rows.append(("identity.proved", Row("of these confirmed by motion", share(score.proved), least)))
     rows += [
-        ("wrong names", share(score.wrong), f"≤ {limits.wrong:g}"),
-        ("highest confidence of a wrong name", number(score.wrong_max_probability, 3), ""),
-        ("unknown", share(score.unknown), ""),
-        ("agreement", share(score.agreement), f"≥ {limits.agreement:g}"),
-        ("slowest identification, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:g}"),
-        ("all announcements received, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:g}"),
-        ("worst RMSE, px", number(worst, 2), f"≤ {limits.rmse_px:g}"),
-        ("recall", share(score.recall), ""),
-        ("false tracks per second", number(score.false_tracks_per_s, 3), f"≤ {limits.false_tracks_per_s:g}"),
-        ("switches", str(score.switches), ""),
+        ("identity.wrong", Row("wrong names", share(score.wrong), f"≤ {_percent(limits.wrong)}")),
+        ("", Row("highest confidence of a wrong name", number(score.wrong_max_probability, 3))),
+        ("", Row("unknown", share(score.unknown))),
+        ("identity.agreement", Row("agreement", share(score.agreement), f"≥ {_percent(limits.agreement)}")),
+        (
+            "identity.time_to_identify_s",
+            Row("slowest identification, s", number(slowest, 1), f"≤ {limits.time_to_identify_s:.4g}"),
+        ),
+        (
+            "announcements",
+            Row(
+                "all announcements received, s", number(report.all_known_s, 1), f"≤ {limits.all_known_s:.4g}"
+            ),
+        ),
+        ("tracking.rmse_px", Row("worst RMSE, px", number(worst, 2), f"≤ {most_px:.4g}")),
+        ("", Row("recall", share(score.recall))),
+        (
+            "tracking.false_tracks_per_s",
+            Row(
+                "false tracks per second",
+                number(score.false_tracks_per_s, 3),
+                f"≤ {limits.false_tracks_per_s:.4g}",
+            ),
+        ),
+        ("", Row("switches", str(score.switches))),
     ]
     if report.relative.samples:
         places = report.relative
         ranges = f"{places.range_p50:.1%}, {places.range_p95:.1%}"
         rows += [
-            ("range error, median and 95th percentile", ranges, ""),
-            ("NEES / 6 of relative states, median", number(places.nees6_median, 2), ""),
+            ("", Row("range error, median and 95th percentile", ranges)),
+            ("", Row("NEES / 6 of relative states, median", number(places.nees6_median, 2))),
         ]
     if report.formation is not None:
         rows += _formation_rows(report.formation, limits)
     return rows
 
 
-def _formation_rows(formation: FormationScore, limits: Limits) -> list[tuple[str, str, str]]:
-    errors = f"{number(formation.error_p50_m, 2)}, {number(formation.error_p95_m, 2)}"
+def _formation_rows(formation: FormationScore, limits: Limits) -> list[tuple[str, Row]]:
+    p50, p95 = number(formation.error_p50_m, 2), number(formation.error_p95_m, 2)
+    end, apart = number(formation.end_p95_m, 2), number(formation.min_separation_m, 2)
     lost = f"{formation.lost} of {formation.followers}"
     rows = [
-        (
-            "slot error, median and 95th percentile, m",
-            errors,
-            f"≤ {limits.slot_p50_m:g}, {limits.slot_p95_m:g}",
-        ),
-        ("slot error at the end, m", number(formation.end_p95_m, 2), f"≤ {limits.slot_end_p95_m:g}"),
-        ("smallest separation, m", number(formation.min_separation_m, 2), f"≥ {limits.separation_m:g}"),
-        ("followers lost", lost, f"≤ {limits.lost}"),
-        ("holds of followers", str(formation.holds), ""),
+        ("error_m.p50", Row("slot error, median, m", p50, f"≤ {limits.slot_p50_m:g}")),
+        ("error_m.p95", Row("slot error, 95th percentile, m", p95, f"≤ {limits.slot_p95_m:g}")),
+        ("error_m.end_p95", Row("slot error at the end, m", end, f"≤ {limits.slot_end_p95_m:g}")),
+        ("min_separation_m", Row("smallest separation, m", apart, f"≥ {limits.separation_m:g}")),
+        ("lost", Row("followers lost", lost, f"≤ {limits.lost}")),
+        ("holds", Row("holds of followers", str(formation.holds))),
     ]
     if formation.gone is not None:
-        gone = formation.gone
+        speed, away = number(formation.gone.speeds[-1], 2), number(formation.gone.flown_on_m, 1)
+        fastest = Row("leader gone for 4 s: fastest follower, m/s", speed, f"≤ {limits.leader_gone_m_s:g}")
         rows += [
+            ("leader_gone.speed_m_s, after 4 s", fastest),
             (
-                "leader gone for 4 s: fastest follower, m/s",
-                number(gone.speeds[-1], 2),
-                f"≤ {limits.leader_gone_m_s:g}",
+                "leader_gone.flown_on_m",
+                Row("leader gone: distance flown on, m", away, f"≤ {limits.leader_gone_m:g}"),
             ),
-            ("leader gone: distance flown on, m", number(gone.flown_on_m, 1), f"≤ {limits.leader_gone_m:g}"),
         ]
-    return rows
+    return [(f"formation.{key}", row) for key, row in rows]
 
 
-def conclusion(report: SwarmReport) -> tuple[str, list[str]]:
-    """The verdict in words, and what fell short; with advice where the machine was short itself."""
+def headline(report: SwarmReport) -> str:
+    """The verdict in one sentence; the tables have the rest, in red."""
+    no_wrong = " No wrong name was given." if report.score.samples and not report.score.wrong else ""
     match report.verdict:
         case Verdict.PASSED:
-            detail = "" if report.detail == "full" else f" with {report.detail} detail"
-            return f"PASSED{detail}", []
+            return "PASSED" if report.detail == "full" else f"PASSED with {report.detail} detail"
         case Verdict.FAILED:
-            return "FAILED", report.shortfalls
+            return f"FAILED: {_clauses(report)}.{no_wrong}"
+        case Verdict.NOT_JUDGED if report.is_cut_off:
+            return f"NOT JUDGED: cut off after {report.cut_off_s:.0f} of {report.seconds:g} s.{no_wrong}"
         case Verdict.NOT_JUDGED:
             others = "" if math.isnan(report.others_busy) else f", other programs {report.others_busy:.0%}"
             busy = f"this machine was too busy (cores {report.machine_busy:.0%}{others})"
-            advice = f"try again {lighter_flights(report.drones, report.detector)}"
-            return f"NOT JUDGED: {busy}. No wrong name was given.", [*report.shortfalls, advice]
+            return f"NOT JUDGED: {busy}.{no_wrong}"
+
+
+def _clauses(report: SwarmReport) -> str:
+    """The worst of what falls short; what is wrong comes first."""
+    rows = {key: row for key, row in _rows_of_team(report) if key}
+    short = [rows.get(one.key) or _row_of(one) for one in report.shortfalls]
+    said = [_clause(row) for row in short[:MOST_CLAUSES]]
+    more = len(short) - MOST_CLAUSES
+    return ", ".join(said) + (f", and {more} more (marked !)" if more > 0 else "")
+
+
+def _clause(row: Row) -> str:
+    """The unit behind the number."""
+    what, _, unit = row.what.rpartition(", ")
+    if not what or len(unit) > len("m/s"):
+        what, unit = row.what, ""
+    found = "never" if row.found == "–" else f"{row.found} {unit}".rstrip()
+    return f"{what} {found}" + (f" (expected {row.expected})" if row.expected else "")
+
+
+def advice(report: SwarmReport) -> str:
+    """What to do about a verdict that was none."""
+    if report.verdict is not Verdict.NOT_JUDGED or report.is_cut_off:
+        return ""
+    return f"try again {lighter_flights(report.drones, report.detector)}"
 
 
 def flight_end(report: SwarmReport, record: Path | None) -> FlightEnd:
     """For the page. record: the folder of the flight's recording."""
-    words, lines = conclusion(report)
     return FlightEnd(
         {Verdict.PASSED: "ok", Verdict.FAILED: "bad", Verdict.NOT_JUDGED: "warn"}[report.verdict],
-        f"the flight is over: {words}",
-        lines,
-        team_rows(report),
+        headline(report),
+        [line for line in [advice(report)] if line],
+        [tuple(row) for row in team_rows(report)],
         f"swarmtrack monitor --recording {shlex.quote(str(record))}" if record is not None else "",
     )
 
@@ -342,7 +426,11 @@ def _table(title: str) -> Table:
 
 
 def share(value: float) -> str:
-    return "–" if math.isnan(value) else f"{value:.4f}"
+    return "–" if math.isnan(value) else f"{value:.2%}"
+
+
+def _percent(limit: float) -> str:
+    return f"{100.0 * limit:.4g}%"
 
 
 def number(value: float, digits: int) -> str:

@@ -163,6 +163,11 @@ class Watch:
             self.scorer.count_between(self._start, self._end)
         return self._end
 
+    def cut_off(self, t: float) -> None:
+        """Judge what was flown until this world time only."""
+        self._end = min(t, self.ends_at)
+        self.scorer.count_between(self._start, self._end)
+
     def count_from(self, start: float, seconds: float) -> None:
         """Judge what is flown from this world time on, for so long; before anything was counted."""
         self._start, self._end = start, start + seconds
@@ -380,6 +385,7 @@ class Watch:
         machine_busy: float = math.nan,
         others_busy: float = math.nan,
         detail: str = "full",
+        cut_off_s: float = math.nan,
     ) -> SwarmReport:
         """All numbers of the flight; the arguments are what was flown, and how busy the machine was."""
         scenario = self._scenario
@@ -402,6 +408,7 @@ class Watch:
             machine_busy=machine_busy,
             others_busy=others_busy,
             detail=detail,
+            cut_off_s=cut_off_s,
         )
 
     def _formation_score(self) -> FormationScore | None:

@@ -53,14 +53,16 @@ def test_what_falls_short_is_said_and_excused_on_a_machine_that_had_no_time(chan
     report = flown(**changes)
     assert report.verdict is Verdict.FAILED
     (short,) = report.shortfalls
-    assert said in short
+    assert said in str(short)
     assert replace(report, machine_busy=0.99).verdict is Verdict.NOT_JUDGED
 
 
 def test_no_busy_machine_excuses_that_somebody_came_too_near():
     report = replace(flown(min_separation_m=1.4), machine_busy=0.99)
     assert report.verdict is Verdict.FAILED
-    assert report.shortfalls == ["formation.min_separation_m: 1.40, expected 1.5 at least"]
+    assert [str(short) for short in report.shortfalls] == [
+        "formation.min_separation_m: 1.40, expected 1.5 at least"
+    ]
 
 
 def test_the_table_fits_into_eighty_columns():

@@ -5,8 +5,9 @@ import os
 from dataclasses import replace
 
 import pytest
+from rich.console import Console
 
-from support.swarm_report import GOOD, GOOD_SCORE
+from support.swarm_report import GOOD, GOOD_AGENT, GOOD_SCORE
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.score.swarm_verdict import Limits
 from swarmtrack.lab.swarm.detail import Detail
@@ -18,7 +19,7 @@ from swarmtrack.lab.swarm.machine_load import (
     lighter_flights,
     too_large,
 )
-from swarmtrack.lab.swarm.table import conclusion
+from swarmtrack.lab.swarm.table import advice, agents_table, headline, team_rows, team_table
 
 WRONG = replace(GOOD_SCORE, wrong=0.01)
 
@@ -140,8 +141,15 @@ def test_what_comes_more_rarely_is_expected_later():
     [
         ({}, "PASSED"),
         ({"detail": "low"}, "PASSED with low detail"),
-        ({"score": WRONG, "machine_busy": 1.0, "others_busy": 0.5}, "FAILED"),
-        ({"all_known_s": math.nan}, "FAILED"),
+        (
+            {"score": WRONG, "machine_busy": 1.0, "others_busy": 0.5},
+            "FAILED: wrong names 1.00% (expected ≤ 0%).",
+        ),
+        (
+            {"all_known_s": math.nan},
+            "FAILED: all announcements received never (expected ≤ 5). No wrong name was given.",
+        ),
+        ({"cut_off_s": 7.3}, "NOT JUDGED: cut off after 7 of 20 s. No wrong name was given."),
         (
             {"all_known_s": math.nan, "machine_busy": 1.0, "others_busy": 0.85},
             "NOT JUDGED: this machine was too busy (cores 100%, other programs 85%). No wrong name was given.",
@@ -153,9 +161,24 @@ def test_what_comes_more_rarely_is_expected_later():
     ],
 )
 def test_the_headline_says_what_the_flight_comes_to(changes, said):
-    words, lines = conclusion(replace(GOOD, **changes))
-    assert words == said
-    assert bool(lines) is not words.startswith("PASSED")
+    report = replace(GOOD, **changes)
+    assert headline(report) == said
+    assert bool(advice(report)) is ("too busy" in said)
+    assert any(row.short for row in team_rows(report)) is bool(report.shortfalls)
+
+
+def test_a_headline_has_two_clauses_and_the_tables_mark_the_rest():
+    score = replace(GOOD.score, correct=0.34, time_to_identify_s={1: 16.5, 2: 0.9}, wrong=0.02)
+    report = replace(GOOD, score=score, agents=(replace(GOOD_AGENT, track_rate_hz=40.0),))
+    assert headline(report) == (
+        "FAILED: wrong names 2.00% (expected ≤ 0%), slowest identification 16.5 s (expected ≤ 2), and 2 more "
+        "(marked !)."
+    )
+    console = Console(width=80, record=True)
+    console.print(agents_table(report), team_table(report))
+    said = console.export_text()
+    for words in ("! 16.5", "! 40.0", "! 2.00%", "! 34.00%"):
+        assert words in said, words
 
 
 def test_a_flight_that_does_not_fit_into_memory_says_how_large_one_may_be(tmp_path):
