@@ -12,13 +12,16 @@ import csv
 import json
 import math
 import os
+import re
+import shutil
 import sys
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from swarmtrack.arguments import add_file, add_folder, positive
-from swarmtrack.errors import SourceError, ungrouped
+from swarmtrack.arguments import add_file, add_flag, add_folder, positive
+from swarmtrack.errors import SourceError, SwarmtrackError, ungrouped
 
 if TYPE_CHECKING:
     from swarmtrack.messages import LinkStatus
@@ -29,6 +32,7 @@ COLUMNS = (
     "t_s", "frame", "id", "u_px", "v_px", "vu_px_s", "vv_px_s", "w_px", "h_px", "status", "probability"
 )  # fmt: skip
 LOOK_S = 0.1
+CONFIG_NAME = "agent.toml"
 
 CONFIG = """\
 # Made by `swarmtrack video`. To fly it again: swarmtrack-agent --config {name}
@@ -66,7 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HZ",
         help="frames per second, for a file without times (default: the file's own times)",
     )
-    add_folder(parser, "--out", "output folder (default: FILE's name, in the current folder)")
+    add_folder(
+        parser, "--out", "output folder (default: FILE-tracked, FILE-tracked-2 … in the current folder)"
+    )
+    add_flag(parser, "--force", "replace an --out that already exists")
     add_file(parser, "--model", "the detector, an ONNX file (default: the shipped one)")
     parser.add_argument(
         "--head",
@@ -108,22 +115,53 @@ def run(args: argparse.Namespace) -> int:
             f"swarmtrack video: {video.note.replace('(fps= sets them)', '(--fps sets them)')}",
             file=sys.stderr,
         )
-    stem = os.fsencode(args.file.stem).decode(errors="replace")
-    out = args.out if args.out is not None else Path(f"{stem}-tracked")
-    if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise SourceError(f"--out {out}: already exists, expected an empty folder or a new one")
+    out = _free_folder(args)
+    existed = out.is_dir()
     try:
         out.mkdir(parents=True, exist_ok=True)
         config = _write_config(args, out, video.size)
     except OSError as error:
         raise SourceError(f"--out {out}: {error.strerror}, expected a folder that can be written") from None
-    with ungrouped():  # a source that can never work says so only when it is opened
-        return asyncio.run(_track(config, out, video.announced))
+    try:
+        with ungrouped():  # a source that can never work says so only when it is opened
+            return asyncio.run(_track(config, out, video.announced))
+    except SwarmtrackError as error:
+        # Nothing was tracked: the same command, mended, finds its place free.
+        if existed:
+            config.unlink()
+        else:
+            shutil.rmtree(out, ignore_errors=True)
+        said = re.sub(rf"{re.escape(str(config))}:\d+: detector\.", "--", str(error))
+        raise SourceError(said) from None
+
+
+def _free_folder(args: argparse.Namespace) -> Path:
+    """Where to write, made free if asked for."""
+    if args.out is None:
+        stem = os.fsencode(args.file.stem).decode(errors="replace")
+        names = (f"{stem}-tracked" + (f"-{k}" if k > 1 else "") for k in count(1))
+        return next(folder for name in names if not _is_taken(folder := Path(name)))
+    out: Path = args.out
+    if _is_taken(out):
+        if not args.force:
+            raise SourceError(
+                f"--out {out}: already exists, expected an empty folder or a new one, or --force to replace it"
+            )
+        if not (out / CONFIG_NAME).is_file():
+            raise SourceError(
+                f"--out {out}: is no output of swarmtrack video, so --force does not replace it"
+            )
+        shutil.rmtree(out)
+    return out
+
+
+def _is_taken(out: Path) -> bool:
+    return out.exists() and (not out.is_dir() or any(out.iterdir()))
 
 
 def _write_config(args: argparse.Namespace, out: Path, size: tuple[int, int]) -> Path:
     width, height = size
-    path = out / "agent.toml"
+    path = out / CONFIG_NAME
     source = f"file://{quote(os.fsencode(args.file.absolute()))}?pace=fast"
     if args.fps is not None:
         source += f"&fps={args.fps:g}"

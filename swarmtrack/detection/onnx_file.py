@@ -46,6 +46,9 @@ INSIDE: dict[_OnnxMessage, dict[int, _OnnxMessage]] = {
 """Of a message, the fields that hold further messages that matter here, by their numbers."""
 
 
+PYTORCH = (".pt", ".pth")
+
+
 class _OnnxField(NamedTuple):
     """number; begin, end: offsets of its content."""
 
@@ -60,6 +63,10 @@ def count_nodes(path: Path) -> int:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             return _count(path, data)
     except (OSError, ValueError) as error:  # ValueError: also where the file is empty
+        if path.suffix.lower() in PYTORCH:
+            raise ModelError(
+                f"{path}: is a PyTorch checkpoint, expected an ONNX file: yolo export model={path.name} format=onnx"
+            ) from None
         raise ModelError(f"{path}: is no ONNX file, or a damaged one ({error})") from None
 
 

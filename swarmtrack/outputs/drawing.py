@@ -169,6 +169,34 @@ def name_of(identity: Identity) -> str:
     return "unknown" if identity is None else "stranger" if identity == FOREIGN else f"drone {identity}"
 
 
+Rectangle = tuple[float, float, float, float]
+"""Left, top, right, bottom, px."""
+
+
+def place_tags(
+    boxes: Sequence[Array], sizes: Sequence[tuple[float, float]], width: float, height: float
+) -> list[Rectangle]:
+    """A tag of its size (width, height) for each box (2, 2): at its box, in the picture, and on no other tag where
+    there is room."""
+    taken: list[Rectangle] = []
+    for ((left, top), (right, bottom)), (w, h) in zip(boxes, sizes, strict=True):
+        places = [
+            (left, top - h), (left, bottom), (right - w, top - h), (right - w, bottom), (right, top), (left - w, top),
+            *((left, top - k * h) for k in (2, 3)), *((left, bottom + k * h) for k in (1, 2)),
+        ]  # fmt: skip
+        inside = [(min(max(x, 0.0), width - w), min(max(y, 0.0), height - h)) for x, y in places]
+        free = [
+            (x, y) for x, y in inside if not any(_overlap((x, y, x + w, y + h), other) for other in taken)
+        ]
+        x, y = (free or inside)[0]
+        taken.append((x, y, x + w, y + h))
+    return taken
+
+
+def _overlap(one: Rectangle, other: Rectangle) -> bool:
+    return one[0] < other[2] and other[0] < one[2] and one[1] < other[3] and other[1] < one[3]
+
+
 class Trails:
     """Where each track was in the last second."""
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmtrack.messages import FOREIGN, TrackStatus
-from swarmtrack.outputs.drawing import DrawnTrack
+from swarmtrack.outputs.drawing import DrawnTrack, place_tags
 from swarmtrack.outputs.palette import colour_of
 
 SIZE = np.array([30.0, 20.0])
@@ -40,6 +40,17 @@ def test_labels_stay_in_the_picture():
         left, baseline = one.label_at(640)
         assert 0.0 <= left <= 640.0 - 9.0 * len(one.label)
         assert 17.0 <= baseline <= 480.0
+
+
+def test_tags_of_drones_that_cross_lie_in_the_picture_and_not_on_each_other():
+    boxes = [
+        drawn(u, v).box for u, v in ((320.0, 240.0), (324.0, 238.0), (330.0, 242.0), (2.0, 3.0), (5.0, 4.0))
+    ]
+    tags = place_tags(boxes, [(60.0, 17.0)] * len(boxes), 640.0, 480.0)
+    for k, (left, top, right, bottom) in enumerate(tags):
+        assert 0.0 <= left < right <= 640.0
+        assert 0.0 <= top < bottom <= 480.0
+        assert not any(left < b[2] and b[0] < right and top < b[3] and b[1] < bottom for b in tags[k + 1 :])
 
 
 def test_only_where_there_is_no_team_a_track_has_a_colour_of_its_own():

@@ -15,6 +15,7 @@ from support.browser import browser_page, needs_chromium
 from support.clips import shorten
 from support.places import SHARED
 from swarmtrack.agents import main as swarmtrack
+from swarmtrack.outputs.annotated_video import CLOSING_S
 
 CLIP = SHARED / "drones_real" / "clips_more" / "V_DRONE_002.mp4"
 needs_clip = pytest.mark.skipif(not CLIP.is_file(), reason="../shared/data is absent")
@@ -47,12 +48,12 @@ def test_the_tables_tell_of_the_one_drone_that_flies(tracked: Path) -> None:
 
 
 @needs_clip
-def test_the_video_is_as_long_as_the_clip(tracked: Path) -> None:
+def test_the_video_is_as_long_as_the_clip_and_its_summary(tracked: Path) -> None:
     capture = cv2.VideoCapture(str(tracked / "annotated.webm"))
     frames = 0
     while capture.read()[0]:
         frames += 1
-    assert frames == 60
+    assert frames == 60 + round(CLOSING_S * capture.get(cv2.CAP_PROP_FPS)) + 1
 
 
 @needs_clip
@@ -81,6 +82,46 @@ async def test_a_browser_plays_the_video(tracked: Path) -> None:
 def test_nothing_is_overwritten(tracked: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert swarmtrack.main(["video", str(CLIP), "--out", str(tracked)]) == 2
     assert "already exists, expected an empty folder or a new one" in capsys.readouterr().err
+
+
+def test_a_refused_run_leaves_nothing_and_names_the_option(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clip, checkpoint = tmp_path / "clip.avi", tmp_path / "yolo.pt"
+    write_clip(clip)
+    checkpoint.write_bytes(b"PK\x03\x04" + bytes(range(200)))
+    words = ["video", str(clip), "--out", str(tmp_path / "out"), "--model"]
+    assert swarmtrack.main([*words, str(checkpoint)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"swarmtrack video: --model: {checkpoint}: is a PyTorch checkpoint")
+    assert "yolo export model=yolo.pt format=onnx" in said
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["clip.avi", "yolo.pt"]
+
+
+def test_a_second_run_counts_up_or_replaces_what_it_wrote_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_clip(tmp_path / "clip.avi")
+    for _ in range(2):
+        assert swarmtrack.main(["video", "clip.avi"]) == 0
+    (tmp_path / "clip-tracked" / "old").touch()
+    assert swarmtrack.main(["video", "clip.avi", "--out", "clip-tracked", "--force"]) == 0
+    assert not (tmp_path / "clip-tracked" / "old").exists()
+    assert (tmp_path / "clip-tracked-2" / "tracks.csv").is_file()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").touch()
+    assert swarmtrack.main(["video", "clip.avi", "--out", "mine", "--force"]) == 2
+    assert "is no output of swarmtrack video" in capsys.readouterr().err
+    assert (tmp_path / "mine" / "thesis.tex").exists()
+
+
+def write_clip(path: Path) -> None:
+    """Three grey frames."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (160, 120))
+    for _ in range(3):
+        writer.write(np.full((120, 160, 3), 128, np.uint8))
+    writer.release()
 
 
 def test_what_is_no_video_is_refused_with_a_sentence(
