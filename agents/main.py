@@ -43,6 +43,7 @@ GROUPS = {
             "swarmtrack.agents.replay",
             "run recorded flights through perception again, at full speed",
         ),
+        "plot": ("swarmtrack.agents.plot", "draw a recorded flight: map, distances, names, errors"),
         "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
         "import": ("swarmtrack.agents.import_flight", "make a recording from a telemetry log and a video"),
     },

@@ -101,7 +101,7 @@ async def _serve_swarm(args: argparse.Namespace) -> int:
         listener = ZenohListener(network, keys.all_but_video(network.team), clock, newest_per_key=True)
     except TransportError as error:
         raise SwarmtrackError(str(error)) from None  # of what was written: exit code 2
-    ending = _told_ending if args.flight else None
+    ending = _Endings().next if args.flight else None
     feed = LiveFeed(MonitoredTeam(network.team, clock), listener, ending)
     try:
         return await _serve(args, feed, f"monitor of team {network.team}", listener.open)
@@ -109,18 +109,24 @@ async def _serve_swarm(args: argparse.Namespace) -> int:
         await listener.close()
 
 
-async def _told_ending() -> FlightEnd | None:
-    """How the flight ended, once that is said on standard input; None: nobody is there to say it."""
-    import msgspec
+class _Endings:
+    """How the flight ended, as standard input says it: that it did, then its verdict."""
 
-    from swarmtrack.outputs.flight_end import FlightEnd
+    def __init__(self) -> None:
+        self._reader: asyncio.StreamReader | None = None
 
-    reader = asyncio.StreamReader(limit=MAX_ENDING)
-    await asyncio.get_running_loop().connect_read_pipe(
-        lambda: asyncio.StreamReaderProtocol(reader), sys.stdin
-    )
-    line = await reader.readline()
-    return msgspec.json.decode(line, type=FlightEnd) if line else None
+    async def next(self) -> FlightEnd | None:
+        """None: nobody is there to say it."""
+        import msgspec
+
+        from swarmtrack.outputs.flight_end import FlightEnd
+
+        if self._reader is None:
+            self._reader = reader = asyncio.StreamReader(limit=MAX_ENDING)
+            protocol = asyncio.StreamReaderProtocol(reader)
+            await asyncio.get_running_loop().connect_read_pipe(lambda: protocol, sys.stdin)
+        line = await self._reader.readline()
+        return msgspec.json.decode(line, type=FlightEnd) if line else None
 
 
 async def _serve_recording(args: argparse.Namespace) -> int:

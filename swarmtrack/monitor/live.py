@@ -1,4 +1,4 @@
-"""Feed of a running swarm: samples as they arrive."""
+"""Feed of a running swarm: samples as they arrive; once a flight is over, its verdict, and the flight again."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from typing import Any, Protocol
 from swarmtrack.errors import TransportError
 from swarmtrack.monitor.drone_cameras import ViewKey
 from swarmtrack.monitor.overlay import boxes
+from swarmtrack.monitor.player import Playback, RecordingPlayer
 from swarmtrack.monitor.server import STATE_HZ, Audience
-from swarmtrack.monitor.team import MonitoredTeam
+from swarmtrack.monitor.team import MonitoredTeam, told_end
+from swarmtrack.monitor.timeline import SeenFlight
 from swarmtrack.outputs.flight_end import FlightEnd
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Sample
@@ -41,18 +43,22 @@ class LiveFeed:
         listener: Listener,
         ending: Callable[[], Awaitable[FlightEnd | None]] | None = None,
     ) -> None:
-        """ending: returns once the flight is over; from then on the page stays as it is."""
+        """ending: returns at the end of the flight, from when on the page stays as it is, and again with its verdict;
+        then None."""
         self._team = team
         self._listener = listener
         self._ending = ending
         team.starting = ending is not None
         self._last: dict[str, Any] | None = None
+        self._seen = SeenFlight(team.name) if ending is not None else None
+        self._again: RecordingPlayer | None = None
+        self._replays = asyncio.Event()
         self._subscribed: set[ViewKey] = set()
         self._wishes = asyncio.Event()
 
     @property
     def cameras(self) -> tuple[ViewKey, ...]:
-        return self._team.cameras
+        return self._team.cameras if self._again is None else self._again.cameras
 
     async def run(self, audience: Audience) -> None:
         """Run until cancelled, or until the listener is closed."""
@@ -64,26 +70,61 @@ class LiveFeed:
             ]
             if self._ending is not None:
                 others.append(tasks.create_task(self._keep_the_end(self._ending), name="ending"))
+                others.append(tasks.create_task(self._play_again(audience), name="again"))
             await self._hear(audience)
             for task in others:
                 task.cancel()
 
     def on_watched(self) -> None:
         self._wishes.set()
+        if self._again is not None:
+            self._again.on_watched()
 
     def on_wish(self, wish: dict[str, Any]) -> bool:
-        return False  # what is live is neither paused nor wound back
+        """`{"again": true}` plays a flight that is over, `{"again": false}` goes back to its verdict. What is live is
+        neither paused nor wound back."""
+        match wish:
+            case {"again": True} if self._last is not None:
+                self._replays.set()
+                return True
+            case {"again": False} if self._last is not None:
+                self._again = None
+                self._replays.clear()
+                self._wishes.set()
+                return True
+        return self._again is not None and self._again.on_wish(wish)
 
     async def _keep_the_end(self, ending: Callable[[], Awaitable[FlightEnd | None]]) -> None:
-        end = await ending()
-        if end is not None:
-            self._last = self._team.state_at_end(end)
+        while (end := await ending()) is not None:
+            if self._last is None:
+                self._last = self._team.state_at_end(end)
+            else:
+                self._last |= told_end(end)
+            self._last["again"] = self._seen is not None and self._seen.timeline is not None
             self._wishes.set()
+
+    async def _play_again(self, audience: Audience) -> None:
+        """What this monitor heard of the flight, with the pictures that somebody looked at, while that is wanted."""
+        while True:
+            await self._replays.wait()
+            timeline = self._seen and self._seen.timeline
+            if timeline is None:
+                return
+            playback = await asyncio.to_thread(Playback, timeline)
+            if not self._replays.is_set():
+                continue
+            self._again = RecordingPlayer(playback, "of this flight", {"again": True})
+            playing = asyncio.create_task(self._again.run(audience))
+            while self._again is not None:  # noqa: ASYNC110 (until somebody asks for the verdict)
+                await asyncio.sleep(1.0 / STATE_HZ)
+            playing.cancel()
 
     async def _hear(self, audience: Audience) -> None:
         async for sample in self._listener.samples():
             if self._last is not None:
                 continue
+            if self._seen is not None:
+                self._seen.add(sample, self._team.utc_of(sample.arrived))
             view = self._team.on_sample(sample)
             # Else it is a last one, after the last viewer went.
             if view is not None and view.key in audience.watched:
@@ -95,7 +136,7 @@ class LiveFeed:
         while True:
             if self._last is None:
                 self._team.refresh()  # unwatched, too: events have their times, and the gone their age
-            if audience.is_there:
+            if audience.is_there and self._again is None:
                 self._tell(audience)
             due = max(due + 1.0 / STATE_HZ, loop.time())
             await asyncio.sleep(due - loop.time())
@@ -125,7 +166,8 @@ class LiveFeed:
             self._wishes.clear()
             wanted = audience.watched
             if self._last is not None:
-                self._show_last_pictures(audience, wanted)
+                if self._again is None:
+                    self._show_last_pictures(audience, wanted)
                 continue
             try:
                 for one in wanted - self._subscribed:

@@ -14,6 +14,10 @@ from swarmtrack.wire.lens import camera_from
 from swarmtrack.wire.tracks import TrackMessage, TracksMessage, track_cov
 from swarmtrack.wire.video import VideoMessage
 
+MOST_CARRIED_S = (
+    0.2  # s by which tracks are moved to the time of a picture: beyond it, neither tells of the other
+)
+
 Distances = dict[int, float]
 """By track, m."""
 
@@ -21,7 +25,8 @@ Distances = dict[int, float]
 def boxes(
     view: VideoMessage, tracks: TracksMessage | None, camera: int = 0, rig: DroneCameras | None = None
 ) -> list[dict[str, Any]]:
-    """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad).
+    """What to draw, in pixels of the picture: centre, size, arrow's tip, ellipse (radii px, angle rad); and how long
+    before the picture its camera last saw something that the tracks know [s].
 
     camera: whose picture it is. rig: all cameras of the drone, where it has several. A track is in the pixels of one
     camera; where pictures overlap it is drawn in the others' as well, by how they are mounted. Tentative tracks are
@@ -35,7 +40,14 @@ def boxes(
     shown = list(_own(view, tracks, away, camera))
     if rig is not None and camera < len(rig.lenses):
         shown += _of_others(tracks, away, camera, rig)
-    return [_record(track, share) | {"proved_s": proved.get(track.track_id)} for track in shown]
+    # The nearest message is up to a period away: its tracks are carried on to the picture's own time.
+    away_s = min(max(view.t_utc_s - tracks.t_utc_s, -MOST_CARRIED_S), MOST_CARRIED_S)
+    seen_before_s = round(max(0.0, tracks.scan_age_s + away_s), 2)
+    return [
+        _record(track._replace(centre=track.centre + away_s * track.velocity), share)
+        | {"proved_s": proved.get(track.track_id), "scan_age_s": seen_before_s}
+        for track in shown
+    ]
 
 
 def _record(track: DrawnTrack, share: float) -> dict[str, Any]:

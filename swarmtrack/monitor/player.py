@@ -11,6 +11,7 @@ from __future__ import annotations
 import asyncio
 import math
 import pickle
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +28,7 @@ from swarmtrack.wire.video import VideoMessage
 
 PLAYER_STEP_S = 0.1
 STEPS_PER_CHECKPOINT = 100
+STEPS_PER_COUNT = 5  # between two looks at how many are named: as often as a team is judged
 MAX_SEEK_S = 1e9  # beyond it a page talks nonsense
 SPEEDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
 
@@ -144,6 +146,9 @@ class Playback:
             if view is not None:
                 scene.views[view.key] = View(event.t, view.message, event.picture)
         scene.clock.t = end
+        if step % STEPS_PER_COUNT == 0:
+            for drone_id in scene.team.drones:
+                scene.team.on_tracks(drone_id, self.timeline.newest_tracks(drone_id, end, max_age=VIEW_S))
         scene.team.refresh()
         self.step = step
         if step == len(self._checkpoints) * STEPS_PER_CHECKPOINT:
@@ -153,8 +158,9 @@ class Playback:
 class RecordingPlayer:
     """Plays a recording to the viewers, at the speed they ask for."""
 
-    def __init__(self, playback: Playback, name: str) -> None:
-        """name: of the recording, for people."""
+    def __init__(self, playback: Playback, name: str, more: Mapping[str, Any] | None = None) -> None:
+        """name: of the recording, for people; more: for the page, beside every state."""
+        self._more = more or {}
         self._playback = playback
         self._name = name
         self._playing = True
@@ -245,7 +251,7 @@ class RecordingPlayer:
 
     def _state(self, watched: frozenset[ViewKey]) -> dict[str, Any]:
         playback = self._playback
-        state = playback.state(watched)
+        state = playback.state(watched) | self._more
         state["playback"] = {
             "name": self._name,
             "t_s": round(playback.step * PLAYER_STEP_S, 1),

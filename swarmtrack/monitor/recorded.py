@@ -10,7 +10,6 @@ the first recording's as `swarmtrack log merge` does, by the numbers of what was
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -19,26 +18,17 @@ import msgspec
 from swarmtrack.errors import RecordingError
 from swarmtrack.monitor.own_recording import DroneRecording
 from swarmtrack.monitor.team import DRONE_SILENT_S
-from swarmtrack.monitor.timeline import BlobFile, Timeline, TimelineEvent, Tracked
+from swarmtrack.monitor.timeline import BlobFile, HeardWords, Timeline, TimelineEvent, Tracked
 from swarmtrack.recording.merge import SightingTimes, shifts_by, utc_offset
 from swarmtrack.recording.reader import Recording, recordings_below
-from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, Heard, read_heard
+from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, read_heard
 from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.sightings import SightingsMessage
-from swarmtrack.wire.tracks import TracksMessage
-from swarmtrack.wire.video import VideoMessage
 
 FLIGHTS_APART_S = 60.0  # s without a word of anybody: what comes after it is another flight
-
-
-class _TracksHead(msgspec.Struct, array_like=True):
-    """As much of `TracksMessage` as tells its time."""
-
-    version: int
-    t_utc_s: float
 
 
 def read_timeline(paths: Sequence[Path]) -> Timeline:
@@ -114,9 +104,9 @@ class _SwarmRecording:
     def __init__(self, recording: Recording, blob_file: BlobFile) -> None:
         self.hearsay = SightingTimes()
         self.refused = 0
-        self.tracked: dict[int, Tracked] = {}
+        self._words = HeardWords(blob_file)
+        self.tracked = self._words.tracked
         self._recording = recording
-        self._blob_file = blob_file
         self._events: list[tuple[keys.Address, TimelineEvent]] = []
 
     def read(self) -> None:
@@ -125,8 +115,12 @@ class _SwarmRecording:
             try:
                 heard = read_heard(message)
                 address = keys.parse(heard.key)
-                if address is not None:
-                    self._events.append((address, self._word(heard, address, heard.t + offset)))
+                if address is None:
+                    continue
+                if address.kind is Kind.IDENTITIES:
+                    said = codec.decode(SightingsMessage, heard.payload)
+                    self.hearsay.received[said.drone_id, said.boot, said.sequence] = heard.t - said.age_s
+                self._events.append((address, self._words.event(heard.sample, address, heard.t + offset)))
             except (RecordingError, DecodeError, msgspec.MsgspecError):
                 self.refused += 1
 
@@ -135,24 +129,6 @@ class _SwarmRecording:
         for address, event in self._events:
             if address.kind is not Kind.VIDEO or address.drone_id not in seen_by_themselves:
                 yield _shifted(event, shift)
-
-    def _word(self, heard: Heard, address: keys.Address, t: float) -> TimelineEvent:
-        drone_id, sample = address.drone_id, Sample(heard.key, heard.payload, heard.alive, t)
-        match address.kind:
-            case Kind.IDENTITIES:
-                said = codec.decode(SightingsMessage, heard.payload)
-                self.hearsay.received[said.drone_id, said.boot, said.sequence] = heard.t - said.age_s
-            case Kind.TRACKS:
-                head = msgspec.msgpack.decode(heard.payload, type=_TracksHead)
-                tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))
-                tracked.add(head.t_utc_s, self._blob_file.append(heard.payload), t)
-                return TimelineEvent(t, drone_id, None)
-            case Kind.VIDEO:
-                view = codec.decode(VideoMessage, heard.payload)
-                payload = codec.encode(msgspec.structs.replace(view, jpeg=b""))
-                picture = self._blob_file.append(view.jpeg) if view.jpeg else None
-                return TimelineEvent(t, drone_id, sample._replace(payload=payload), picture)
-        return TimelineEvent(t, drone_id, sample)
 
 
 def _shifted(event: TimelineEvent, shift: float) -> TimelineEvent:

@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import logging
 import math
+import re
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from swarmtrack.cameras.field_of_view import half_angles
 from swarmtrack.clock import Clock
 from swarmtrack.geometry.rotation import from_quaternion
+from swarmtrack.messages import FOREIGN
 from swarmtrack.monitor.drone_cameras import CameraView, DroneCameras, ViewKey
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
@@ -50,9 +52,21 @@ TEAM_EVENTS_KEPT = 200
 EVENTS_SHOWN = 60
 JUDGING_S = 0.5  # s: reports come once a second, and thirty drones' cost 20 ms to judge
 PLACED = {"leader", "slot_north_m", "slot_east_m", "engaged"}  # what a follower tells of itself
+COURSE_S = 1.0  # between two entries of a drone's course
+COURSE_KEPT = 60  # entries: a minute, as of the lines of its health
+NAMED_OVER = 3  # entries, over which it is judged how many are named
 SLOW = 0.7  # of the rate that was asked for
 TEAM_SETTLED_S = 5.0  # s of an agent's life, after which it is judged by its rates
 STEEP = 0.2  # length of a camera's axis seen from above, below which it looks up or down
+
+
+class Moment(NamedTuple):
+    """One entry of a drone's course. place: north and east, m; named, wrong: of those in view."""
+
+    place: tuple[float, float] | None
+    named: int
+    in_view: int
+    wrong: int
 
 
 @dataclass(slots=True)
@@ -71,6 +85,9 @@ class Drone:
     tracked_at: float = -math.inf
     health: HealthMessage | None = None
     history: deque[tuple[float, ...]] = field(default_factory=lambda: deque(maxlen=HISTORY))
+    in_view: tuple[int, int] = (0, 0)
+    """How many teammates it names, and how many drones it tracks that nobody calls a stranger."""
+    course: deque[Moment] = field(default_factory=lambda: deque(maxlen=COURSE_KEPT))
     rig: DroneCameras | None = None
     """Of a drone with several cameras that told of them."""
     views: dict[int, tuple[float, VideoMessage]] = field(default_factory=dict)
@@ -81,7 +98,9 @@ class Drone:
     def forget_what_it_said(self) -> None:
         """Reset to a drone that is alive and has sent nothing yet."""
         self.announcement = self.unread = self.health = self.rig = None
+        self.in_view = (0, 0)
         self.tracks.clear()
+        self.course.clear()
         self.history.clear()
         self.views.clear()
         self.told_events = ()
@@ -110,7 +129,7 @@ class MonitoredTeam:
         self._event_count = 0
         self._light = ""
         self._verdict = TeamVerdict((), ())
-        self._judged_at = -math.inf
+        self._judged_at = self._coursed_at = -math.inf
 
     def on_sample(self, sample: Sample) -> CameraView | None:
         """Add a sample; a view is also returned."""
@@ -166,12 +185,22 @@ class MonitoredTeam:
         if drone is not None:
             self._on_word(drone_id, drone, arrived)
 
+    def on_tracks(self, drone_id: int, tracks: TracksMessage | None) -> None:
+        """What a drone tracks now, where its tracks are not among the samples."""
+        drone = self._drones.get(drone_id)
+        if drone is not None:
+            drone.in_view = _in_view(tracks)
+
     def tracks_at(self, drone_id: int, t_utc_s: float) -> TracksMessage | None:
         """What a drone tracked at the instant of a frame, by its own clock, or nearest to it."""
         drone = self._drones.get(drone_id)
         if drone is None:
             return None
         return min(drone.tracks, key=lambda message: abs(message.t_utc_s - t_utc_s), default=None)
+
+    def utc_of(self, t: float) -> float:
+        """t: on our monotonic clock, s."""
+        return t + self._clock.utc() - self._clock.now()
 
     @property
     def drones(self) -> tuple[int, ...]:
@@ -224,9 +253,7 @@ class MonitoredTeam:
     def state_at_end(self, end: FlightEnd) -> dict[str, Any]:
         """State of the page after the end of a flight."""
         self._note(None, end.text, end.kind)
-        state = self._state_for_good()
-        light = {"kind": end.kind, "text": end.text, "also": end.also}
-        return {**state, "light": light, "over": {"rows": end.rows, "again": end.again}}
+        return {**self._state_for_good(), **told_end(end)}
 
     def _state_for_good(self) -> dict[str, Any]:
         """One that can be told."""
@@ -254,10 +281,28 @@ class MonitoredTeam:
         if now - self._judged_at >= JUDGING_S:
             self._judged_at = now
             self._verdict = self._reports.evaluate(filter(self.is_alive, self._drones), now)
+            self._count_in_view(now)
         kind, text, _ = self._sentence(self._verdict)
-        if text != self._light:
-            self._light = text
+        subject = (
+            re.sub(r"\d+", "", text) if kind == "idle" else text
+        )  # how many are named changes all the time
+        if subject != self._light:
+            self._light = subject
             self._note(None, text, kind)
+
+    def _count_in_view(self, now: float) -> None:
+        for drone in self._drones.values():
+            if drone.tracked_at > -math.inf:
+                drone.in_view = _in_view(self._newest_tracks(drone, now))
+        if now - self._coursed_at < COURSE_S:
+            return
+        self._coursed_at = now
+        wrong = Counter(look.observer for look in self._verdict.looks if look.right is False)
+        for drone_id, drone in self._drones.items():
+            if drone.gone_since is None:
+                place = self._place(drone_id, now)
+                flat = None if place is None else (round(place[0], 1), round(place[1], 1))
+                drone.course.append(Moment(flat, *drone.in_view, wrong[drone_id]))
 
     # --- hearing ------------------------------------------------------------------------
 
@@ -363,7 +408,7 @@ class MonitoredTeam:
             if len(drone.boots) > 1
         ]
         bad += verdict.disagreements
-        warn = []
+        warn = self._not_flown()
         for drone_id, drone in sorted(self._drones.items()):
             if drone.gone_since is not None:
                 warn.append(f"drone {drone_id} is gone")
@@ -382,28 +427,51 @@ class MonitoredTeam:
         drones = "1 drone" if here == 1 else f"{here} drones"
         if not any(look.right for look in verdict.looks):
             return "idle", f"{drones} here, no names to compare yet", []
-        return "ok", f"{drones} agree", []
+        return self._agreement(drones)
+
+    def _not_flown(self) -> list[str]:
+        """A formation that is configured and that no follower flies: that is the news."""
+        followers = {
+            drone_id: state
+            for drone_id, drone in sorted(self._drones.items())
+            if drone.gone_since is None and (state := _formation_state(drone.health))
+        }
+        if not followers or any(state["engaged"] for state in followers.values()):
+            return []
+        words = {state["text"]: drone_id for drone_id, state in reversed(followers.items())}
+        return [f"formation not flown: drone {drone_id} {text}" for text, drone_id in reversed(words.items())]
+
+    def _agreement(self, drones: str) -> tuple[str, str, list[str]]:
+        """Nobody contradicts. That is worth a tick only where most of what is in view is named."""
+        alive = [drone for drone in self._drones.values() if drone.gone_since is None]
+        named, in_view = (sum(drone.in_view[k] for drone in alive) for k in (0, 1))
+        lately = [moment for drone in alive for moment in list(drone.course)[-NAMED_OVER:]]
+        most = 2 * sum(moment.named for moment in lately) > sum(moment.in_view for moment in lately)
+        counted = f"{named} of {in_view} drones in view are named"
+        if most or not any(moment.in_view for moment in lately):
+            followers = [state for drone in alive if (state := _formation_state(drone.health))]
+            flown = [f"{len(followers)} in formation"] if followers else []
+            return "ok", f"{drones} agree", ([counted] if in_view else []) + flown
+        return "idle", counted, ["no name contradicts another"]
 
     # --- one drone ----------------------------------------------------------------------
 
     def _drone_state(self, drone_id: int, now: float) -> dict[str, Any]:
         drone = self._drones[drone_id]
         report = self._reports.newest(drone_id)
-        position: tuple[float, ...] | None = None
-        if report is not None:
-            position = tuple(report.position.tolist())
-        elif drone.announcement is not None:
-            position = drone.announcement.position_m
-        fresh = [view for _, (at, view) in sorted(drone.views.items()) if now - at < VIEW_S]
-        position = next((view.position_m for view in fresh if view.position_m), position)
-        tracks = self._newest_tracks(drone, now)
+        position = self._place(drone_id, now)
+        fresh = _fresh_views(drone, now)
+        few = len(self._drones) <= MAPPED
+        # Of a large team they are too much to tell, but for those that somebody looks at.
+        tracks = self._newest_tracks(drone, now) if few or now - drone.view_at < VIEW_S else None
         return {
             "id": drone_id,
             "gone_s": None if drone.gone_since is None else round(now - drone.gone_since, 1),
             "position_m": None if position is None else [round(p, 2) for p in position],
             "wedges": [wedge for view in fresh if (wedge := _wedge(view))],
             "cameras": _cameras_of(drone),
-            "around": around_state(drone.rig, tracks, few=len(self._drones) <= MAPPED),
+            "around": around_state(drone.rig, tracks, few=few),
+            "course": [[*moment] for moment in drone.course] if few else [],
             "rays": []
             if report is None
             else [[s.drone_id, *np.round(s.direction, 3).tolist()] for s in report.sightings],
@@ -415,9 +483,20 @@ class MonitoredTeam:
             "history": [[None if math.isnan(v) else v for v in row] for row in drone.history],
         }
 
+    def _place(self, drone_id: int, now: float) -> tuple[float, ...] | None:
+        """Where a drone is by its own words, m in the team's frame."""
+        drone = self._drones[drone_id]
+        for view in _fresh_views(drone, now):
+            if view.position_m:
+                return view.position_m
+        report = self._reports.newest(drone_id)
+        if report is not None:
+            return tuple(report.position.tolist())
+        return None if drone.announcement is None else drone.announcement.position_m
+
     def _newest_tracks(self, drone: Drone, now: float) -> TracksMessage | None:
-        """None where they are old, or too dear to read."""
-        if now - drone.tracked_at > VIEW_S or (drone.unread is not None and len(self._drones) > MAPPED):
+        """None where they are old."""
+        if now - drone.tracked_at > VIEW_S:
             return None
         if drone.unread is not None:
             payload, drone.unread = drone.unread, None
@@ -428,11 +507,31 @@ class MonitoredTeam:
         return drone.tracks[-1] if drone.tracks else None
 
 
+def _in_view(tracks: TracksMessage | None) -> tuple[int, int]:
+    """Named teammates, and all that are tracked but strangers."""
+    known = [
+        track.identity
+        for track in (tracks.tracks if tracks is not None else ())
+        if track.status == "confirmed" and track.identity != FOREIGN
+    ]
+    return sum(identity is not None for identity in known), len(known)
+
+
+def _fresh_views(drone: Drone, now: float) -> list[VideoMessage]:
+    return [view for _, (at, view) in sorted(drone.views.items()) if now - at < VIEW_S]
+
+
 def _cameras_of(drone: Drone) -> int:
     if drone.rig is not None:
         return len(drone.rig.lenses)
     # A recording may hold pictures, and not what was told of cameras before it began.
     return max(drone.views, default=0) + 1
+
+
+def told_end(end: FlightEnd) -> dict[str, Any]:
+    """What is different on the page once the flight is over."""
+    light = {"kind": end.kind, "text": end.text, "also": end.also}
+    return {"light": light, "over": {"rows": end.rows, "again": end.again}}
 
 
 def around_state(

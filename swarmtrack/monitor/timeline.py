@@ -12,12 +12,21 @@ import tempfile
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple
 
+import msgspec
+
 from swarmtrack.errors import RecordingError
-from swarmtrack.transport.base import Sample
+from swarmtrack.transport import keys
+from swarmtrack.transport.base import Kind, Sample
+from swarmtrack.wire import codec
 from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.tracks import TracksMessage
+from swarmtrack.wire.video import VideoMessage
+
+SEEN_FLIGHT_EVENTS = 300_000  # of a flight that is kept to be played again: ten minutes of eight drones
+SEEN_FLIGHT_BYTES = 256 * 2**20  # of their tracks and pictures
 
 
 class Blob(NamedTuple):
@@ -32,7 +41,7 @@ class BlobFile:
 
     def __init__(self) -> None:
         self._file = tempfile.TemporaryFile(prefix="swarmtrack-")  # noqa: SIM115 - it lives as long as we do
-        self._size = 0
+        self.size = 0
 
     def append(self, data: bytes) -> Blob:
         """Append bytes. Raises RecordingError where the disk is full."""
@@ -42,9 +51,12 @@ class BlobFile:
             raise RecordingError(
                 f"{tempfile.gettempdir()}: {error.strerror}, expected room for the recording's pictures (TMPDIR)"
             ) from error
-        blob = Blob(self._size, len(data))
-        self._size += len(data)
+        blob = Blob(self.size, len(data))
+        self.size += len(data)
         return blob
+
+    def close(self) -> None:
+        self._file.close()
 
     def get(self, blob: Blob) -> bytes:
         self._file.flush()
@@ -90,6 +102,72 @@ class Tracked:
         """Newest tracks received by t on the timeline's clock, with their time."""
         k = bisect_right(self.told, t - self.shift)
         return (self.told[k - 1] + self.shift, self.blobs[k - 1]) if k else None
+
+
+class _TracksHead(msgspec.Struct, array_like=True):
+    """As much of `TracksMessage` as tells its time."""
+
+    version: int
+    t_utc_s: float
+
+
+class HeardWords:
+    """What was heard of a swarm as events. Raises DecodeError and MsgspecError for what cannot be read."""
+
+    def __init__(self, blob_file: BlobFile) -> None:
+        self.tracked: dict[int, Tracked] = {}
+        self._blob_file = blob_file
+
+    def event(self, sample: Sample, address: keys.Address, t: float) -> TimelineEvent:
+        """t: on the timeline's clock, s."""
+        drone_id, sample = address.drone_id, sample._replace(arrived=t)
+        match address.kind:
+            case Kind.TRACKS:
+                head = msgspec.msgpack.decode(sample.payload, type=_TracksHead)
+                tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))
+                tracked.add(head.t_utc_s, self._blob_file.append(sample.payload), t)
+                return TimelineEvent(t, drone_id, None)
+            case Kind.VIDEO:
+                view = codec.decode(VideoMessage, sample.payload)
+                payload = codec.encode(msgspec.structs.replace(view, jpeg=b""))
+                picture = self._blob_file.append(view.jpeg) if view.jpeg else None
+                return TimelineEvent(t, drone_id, sample._replace(payload=payload), picture)
+        return TimelineEvent(t, drone_id, sample)
+
+
+class SeenFlight:
+    """What a monitor heard of a flight from its beginning, to play it once more; of a long one nothing is kept."""
+
+    def __init__(self, team: str) -> None:
+        self._team = team
+        self._blob_file = BlobFile()
+        self._words = HeardWords(self._blob_file)
+        self._events: list[TimelineEvent] = []
+        self._is_too_long = False
+
+    def add(self, sample: Sample, t: float) -> None:
+        """t: UTC, s."""
+        address = keys.parse(sample.key)
+        if address is None or self._is_too_long:
+            return
+        try:
+            self._events.append(self._words.event(sample, address, t))
+        except (DecodeError, RecordingError, msgspec.MsgspecError):
+            return
+        if len(self._events) > SEEN_FLIGHT_EVENTS or self._blob_file.size > SEEN_FLIGHT_BYTES:
+            self._is_too_long = True
+            self._events.clear()
+            self._blob_file.close()
+
+    @property
+    def timeline(self) -> Timeline | None:
+        """None where there is nothing to play."""
+        if not self._events:
+            return None
+        tracked = {drone_id: [one] for drone_id, one in self._words.tracked.items()}
+        return Timeline(
+            self._team, sorted(self._events, key=lambda event: event.t), tracked, self._blob_file, []
+        )
 
 
 @dataclass(slots=True)

@@ -24,14 +24,25 @@ FLIES = LinkStatus(
 
 def told(link: LinkStatus) -> dict:
     """Of drone 2, whose agent says that in its health."""
+    (drone,) = state(link)["drones"]
+    return drone
+
+
+def state(link: LinkStatus) -> dict:
     team = MonitoredTeam("red", ManualClock())
     message = HealthMessage(
         version=1, t_utc_s=1.7e9, boot="0123abcd", uptime_s=60.0, cpu_percent=5.0, rss_mb=96.0, rates={}, latencies={},
         clock_offset_s=None, clock_offset_sigma_s=None, links=(link_health(link),), drops={}, events=(),
     )  # fmt: skip
     team.on_sample(Sample(keys.key("red", Kind.HEALTH, 2), codec.encode(message), alive=True, arrived=0.0))
-    (drone,) = team.state()["drones"]
-    return drone
+    return team.state()
+
+
+def test_a_formation_that_nobody_flies_is_the_headline():
+    waits = replace(FLIES, text="waits for its pilot", counters=(*FLIES.counters[:3], ("engaged", 0.0)))
+    light = state(waits)["light"]
+    assert (light["kind"], light["text"]) == ("warn", "formation not flown: drone 2 waits for its pilot")
+    assert "formation" not in state(FLIES)["light"]["text"]
 
 
 def test_a_follower_tells_its_slot_and_how_far_off_it_is():

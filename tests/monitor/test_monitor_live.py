@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 
+from support import recorded_swarm
 from support.patience import eventually
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import TransportError
@@ -53,13 +54,15 @@ async def test_when_the_flight_is_over_the_page_keeps_what_it_showed_and_the_ver
     monkeypatch.setattr(live, "STATE_HZ", 200.0)
     clock = ManualClock(0.0)
     team, listener, over, viewer = MonitoredTeam("red", clock), Silence(), asyncio.Event(), Somebody()
-    end = FlightEnd(
-        "bad", "the flight is over: FAILED", ["a line"], [("correct names", "0.9", "≥ 0.97")], "look"
-    )
+    rows = [("correct names", "90.00%", "≥ 97%", True)]
+    ends = [
+        FlightEnd("idle", "it is being judged", [], []),
+        FlightEnd("bad", "FAILED: why", ["a line"], rows, "look"),
+    ]
 
-    async def ending() -> FlightEnd:
+    async def ending() -> FlightEnd | None:
         await over.wait()
-        return end
+        return ends.pop(0) if ends else None
 
     feed = asyncio.create_task(LiveFeed(team, listener, ending).run(viewer))
     await eventually(lambda: viewer.told)
@@ -67,16 +70,51 @@ async def test_when_the_flight_is_over_the_page_keeps_what_it_showed_and_the_ver
     assert viewer.told[-1]["light"]["also"] == [STARTING]
     team.on_sample(Sample("swarmtrack/red/v1/alive/1/00000001", b"", True, 0.0))
     over.set()
-    await eventually(lambda: "over" in viewer.told[-1])
+    await eventually(lambda: viewer.told[-1].get("over", {}).get("rows"))
     clock.set(60.0)  # drone 1 is long gone
     count = len(viewer.told)
     await eventually(lambda: len(viewer.told) >= count + 3)
     last = viewer.told[-1]
-    assert last["light"] == {"kind": "bad", "text": "the flight is over: FAILED", "also": ["a line"]}
-    assert last["over"] == {"rows": [("correct names", "0.9", "≥ 0.97")], "again": "look"}
+    assert last["light"] == {"kind": "bad", "text": "FAILED: why", "also": ["a line"]}
+    assert last["over"] == {"rows": rows, "again": "look"}
+    assert last["again"] is False, "nobody said a word that could be played again"
     assert [drone["gone_s"] for drone in last["drones"]] == [None]
     listener.ended.set()
     await feed
+
+
+async def test_a_flight_that_is_over_is_played_again_as_it_was_heard(monkeypatch):
+    monkeypatch.setattr(live, "STATE_HZ", 200.0)
+    clock, spoken, viewer = ManualClock(0.0, recorded_swarm.UTC), asyncio.Event(), Somebody()
+    ends = [FlightEnd("ok", "PASSED", [], [])]
+
+    class Flight(Silence):
+        async def samples(self):
+            for t in range(4):
+                clock.set(float(t))
+                yield Sample(f"swarmtrack/red/v1/alive/{t + 1}/0000000{t + 1}", b"", True, clock.now())
+            spoken.set()
+            await self.ended.wait()
+
+    async def ending() -> FlightEnd | None:
+        await spoken.wait()
+        return ends.pop(0) if ends else None
+
+    listener = Flight()
+    feed = LiveFeed(MonitoredTeam("red", clock), listener, ending)
+    running = asyncio.create_task(feed.run(viewer))
+    await eventually(lambda: viewer.told and viewer.told[-1].get("over"))
+    assert viewer.told[-1]["again"] is True
+    assert not feed.on_wish({"seek": 1.0}), "what is over is not wound back before it is played"
+    assert feed.on_wish({"again": True})
+    await eventually(lambda: "playback" in viewer.told[-1])
+    assert viewer.told[-1]["playback"]["seconds"] == 3.0
+    assert feed.on_wish({"seek": 1.5})
+    await eventually(lambda: len(viewer.told[-1]["drones"]) == 2)
+    assert feed.on_wish({"again": False})
+    await eventually(lambda: viewer.told[-1].get("over"))
+    listener.ended.set()
+    await running
 
 
 class Nobody:

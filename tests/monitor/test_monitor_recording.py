@@ -14,6 +14,7 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 
 import aiohttp
+import msgspec
 import numpy as np
 import pytest
 
@@ -22,11 +23,13 @@ from support.patience import PATIENCE
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
+from support import recorded_swarm
 from support.browser import browser_page, needs_chromium, until_said
 from support.places import ROOT
 from support.recorded_cameras import recorded
 from support.recorded_flight import fly
 from support.recorded_swarm import TEAM, UTC, record_swarm
+from support.seen_swarm import seen, teammate
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.benchmarks.scripted_team import scripted_team
 from swarmtrack.clock import ManualClock
@@ -36,11 +39,12 @@ from swarmtrack.monitor.overlay import boxes
 from swarmtrack.monitor.own_recording import DroneRecording
 from swarmtrack.monitor.player import PLAYER_STEP_S, Playback, RecordingPlayer
 from swarmtrack.monitor.recorded import read_timeline
+from swarmtrack.monitor.team import MonitoredTeam
 from swarmtrack.monitor.timeline import BlobFile
 from swarmtrack.recording.reader import recordings_below
 from swarmtrack.runtime.swarm_recorder import SwarmRecorder
 from swarmtrack.transport import keys
-from swarmtrack.transport.base import Kind
+from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
 from swarmtrack.wire.sightings import SightingsMessage
 
@@ -165,6 +169,34 @@ async def test_all_cameras_of_a_swarm_are_recorded_where_pictures_are_asked_for(
 # --- what drones recorded themselves --------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("named", "kind"), [(True, "ok"), (False, "idle")])
+def test_a_tick_takes_more_than_that_nobody_contradicts(named, kind):
+    clock = ManualClock(100.0, recorded_swarm.UTC)
+    team = MonitoredTeam(recorded_swarm.TEAM, clock)
+
+    def say(what, drone, payload, *rest):
+        team.on_sample(Sample(keys.key(team.name, what, drone, *rest), payload, True, clock.now()))
+
+    tracks = seen(1, teammate())
+    if not named:
+        unknown = tuple(msgspec.structs.replace(track, identity=None) for track in tracks.tracks)
+        tracks = msgspec.structs.replace(tracks, tracks=unknown, relatives=(), proofs=())
+    for drone in recorded_swarm.PLACES:
+        say(Kind.ALIVE, drone, b"", f"{drone:08x}")
+    for k in range(1, 6):
+        clock.set(100.0 + k)
+        for drone in recorded_swarm.PLACES:
+            say(Kind.IDENTITIES, drone, recorded_swarm.sightings(drone, float(k), k))
+            say(Kind.TRACKS, drone, codec.encode(tracks))
+        team.refresh()
+    light, drones = team.state()["light"], team.state()["drones"]
+    assert light["kind"] == kind
+    counted = f"{3 * named} of 3 drones in view are named"
+    assert counted == (light["also"][0] if named else light["text"])
+    assert [row[1:] for row in drones[0]["course"]] == [[int(named), 1, 0]] * 5
+    assert drones[0]["course"][0][0] == pytest.approx((0.0, 0.0))
+
+
 def test_drones_own_recordings_make_one_picture_of_the_team(flown):
     timeline = read_timeline([flown])
     assert timeline.notes == []
@@ -172,7 +204,11 @@ def test_drones_own_recordings_make_one_picture_of_the_team(flown):
     playback = Playback(timeline)
     state = at(playback, 5.0)
     assert [drone["id"] for drone in state["drones"]] == [1, 2, 3]
-    assert state["light"] == {"kind": "ok", "text": "3 drones agree", "also": []}
+    assert state["light"] == {
+        "kind": "ok",
+        "text": "3 drones agree",
+        "also": ["6 of 6 drones in view are named"],
+    }
     assert {(look[0], look[1]) for look in state["looks"] if look[3]} == {
         (a, b) for a in (1, 2, 3) for b in (1, 2, 3) if a != b
     }

@@ -134,6 +134,9 @@ def test_both_locks_say_how_they_are_made():
         assert lock.read_text(encoding="utf-8").splitlines()[1] == "#    .ci/lock"
 
 
+EXTRA = ("replay/plot.py", "monitor/flight_plot.py", "trackers/peers.py")
+
+
 def imported_at_its_head(path: Path) -> set[str]:
     found = set()
     for node in tree(path).body:
@@ -145,11 +148,11 @@ def imported_at_its_head(path: Path) -> set[str]:
 
 
 def test_a_module_imports_at_its_head_only_what_flies():
-    """All but training, and two that need an extra: their commands ask for it first."""
+    """All but training, and those in EXTRA: their commands ask for an extra first."""
     homes, flies = metadata.packages_distributions(), names(FLY)
     for root in (ROOT / "swarmtrack", ROOT / "agents", ROOT / "benchmarks"):
         for path in root.rglob("*.py"):
-            if "training" in path.parts or path.match("replay/plot.py") or path.match("trackers/peers.py"):
+            if "training" in path.parts or any(map(path.match, EXTRA)):
                 continue
             for module in imported_at_its_head(path) - set(sys.stdlib_module_names) - {PROJECT["name"]}:
                 assert {canonical(home) for home in homes.get(module, [module])} & flies, (path, module)

@@ -53,11 +53,11 @@ def record_swarm(folder: Path, seconds: float = 40.0, *, tracks_hz: float = 5.0,
             if video:
                 say(t, Kind.VIDEO, drone, _view(t, k))
             if k % int(tracks_hz) == 0:
-                say(t, Kind.IDENTITIES, drone, _sightings(drone, t, k))
+                say(t, Kind.IDENTITIES, drone, sightings(drone, t, k))
     recorder.close()
 
 
-def _sightings(observer: int, t: float, k: int) -> bytes:
+def sightings(observer: int, t: float, k: int) -> bytes:
     swapped = observer == 2 and SWAPPED[0] <= t < SWAPPED[1]
     names = {1: 3, 3: 1} if swapped else {}
     rays = {whom: place - PLACES[observer] for whom, place in PLACES.items() if whom != observer}

@@ -189,9 +189,7 @@ class SwarmReport:
         score, limits, short = self.score, self.limits, self._unheard()
         if not score.samples:
             return [
-                Shortfall(
-                    "identity", "nothing to judge", "a teammate in view of another for more than a second"
-                ),
+                Shortfall("identity", "nothing to judge", "a teammate in view for a second"),
                 *short,
             ]
         if not score.correct >= limits.correct:

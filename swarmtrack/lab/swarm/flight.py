@@ -561,6 +561,8 @@ class _SwarmFlight:
     # --- after landing ------------------------------------------------------------------
 
     async def _land(self) -> None:
+        if self.page is not None:
+            self.page.landed()
         for child in self._agents.values():
             child.ending = True
         total = self._watch.waiting

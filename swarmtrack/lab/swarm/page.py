@@ -1,6 +1,7 @@
 """The web page of a flight: a monitor in a process of its own, which takes no time from judging.
 
-When the flight is over, its verdict is told to the page, which then stays as it is for as long as the monitor lives.
+When the flight is over, that and then its verdict are told to the page, which stays as it is from the flight's last
+moment, for as long as the monitor lives.
 """
 
 from __future__ import annotations
@@ -22,8 +23,12 @@ class FlightPage:
         self.child = child
         self.said = said
 
+    def landed(self) -> None:
+        """The flight is over. The page keeps what it shows now."""
+        self.finish(FlightEnd("idle", "the flight is over and is being judged", [], []))
+
     def finish(self, end: FlightEnd) -> None:
-        """The flight is over. The page keeps what it shows now, and this."""
+        """Its verdict."""
         assert self.child.process.stdin is not None
         if self.child.process.returncode is None:
             self.child.process.stdin.write(msgspec.json.encode(end) + b"\n")
