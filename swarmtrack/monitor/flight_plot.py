@@ -102,7 +102,7 @@ def _draw_distances(axis: Any, course: FlightCourse, observers: list[int]) -> No
                 t, measured - 2.0 * sigma, measured + 2.0 * sigma, color=colour, alpha=0.13, lw=0
             )
             axis.plot(t, true, color="black", lw=0.9, ls=":")
-            known += [row[1] for row in rows]
+            known += [float(row[1]) for row in rows]
     axis.set_ylabel("distance, m")
     axis.set_ylim(bottom=0.0)
     if known:

@@ -107,7 +107,7 @@ class LiveFeed:
         """What this monitor heard of the flight, with the pictures that somebody looked at, while that is wanted."""
         while True:
             await self._replays.wait()
-            timeline = self._seen and self._seen.timeline
+            timeline = None if self._seen is None else self._seen.timeline
             if timeline is None:
                 return
             playback = await asyncio.to_thread(Playback, timeline)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import math
 import pickle
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -158,7 +157,7 @@ class Playback:
 class RecordingPlayer:
     """Plays a recording to the viewers, at the speed they ask for."""
 
-    def __init__(self, playback: Playback, name: str, more: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, playback: Playback, name: str, more: dict[str, Any] | None = None) -> None:
         """name: of the recording, for people; more: for the page, beside every state."""
         self._more = more or {}
         self._playback = playback

@@ -94,7 +94,7 @@ def judge(recording: Recording, answers: Answers | None, tracker: str) -> Judged
             whole, followed = as_told(planned)
             scenario = detail.of(whole)
             limits = detail.expected(whole, limits)
-        _tell_truth(recording, followed)
+        tell_truth(recording, followed)
     except ConfigError as error:
         raise RecordingError(f"{recording.folder}: this program cannot fly its scenario: {error}") from None
     clock = HeldClock()
@@ -121,8 +121,8 @@ def _share(recorded: dict[str, Any] | None, name: str) -> float:
     return math.nan if busy is None else float(busy)
 
 
-def _tell_truth(recording: Recording, followed: Mapping[int, FollowedDrone]) -> None:
-    """Of drones that others flew nothing is known but what was recorded."""
+def tell_truth(recording: Recording, followed: Mapping[int, FollowedDrone]) -> None:
+    """Give the followed drones their recorded truth: nothing else is known of drones that others flew."""
     if not followed:
         return
     for message in recording.messages(frozenset({TRUTH_TOPIC})):

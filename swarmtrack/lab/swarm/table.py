@@ -409,7 +409,7 @@ def flight_end(report: SwarmReport, record: Path | None) -> FlightEnd:
         {Verdict.PASSED: "ok", Verdict.FAILED: "bad", Verdict.NOT_JUDGED: "warn"}[report.verdict],
         headline(report),
         [line for line in [advice(report)] if line],
-        [tuple(row) for row in team_rows(report)],
+        [(row.what, row.found, row.expected, row.short) for row in team_rows(report)],
         f"swarmtrack monitor --recording {shlex.quote(str(record))}" if record is not None else "",
     )
 
