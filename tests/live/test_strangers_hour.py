@@ -223,6 +223,8 @@ def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: 
     stranger.types("swarmtrack log info heard")
     stranger.types("swarmtrack replay flight --json replay.json", *FLOWN)
     json.loads((stranger.folder / "replay.json").read_text())
+    stranger.types("swarmtrack plot flight")
+    assert (stranger.folder / "flight.png").stat().st_size > 20_000
     assert "no pictures" in stranger.types("swarmtrack replay flight --detect", 1, 2)
     page = stranger.start("swarmtrack monitor --recording flight --port 0")
     assert page.stdout is not None
@@ -243,6 +245,7 @@ def test_a_video_of_ones_own(stranger: Stranger) -> None:
     said = stranger.types("swarmtrack video 'my clip.mp4' --out seen")
     for name in re.findall(r"seen/[\w.-]+", said):
         assert (stranger.folder / name).is_file(), said
+    stranger.types("swarmtrack video 'my clip.mp4' --out seen --force")
     rows = (stranger.folder / "seen" / "tracks.csv").read_text().splitlines()
     assert len(rows) > 20
     # What stands in the config that it wrote.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -348,6 +349,27 @@ def test_an_agent_that_dies_is_reported_with_its_last_words_also_while_another_i
     assert not living(tmp_path)
 
 
+def test_ctrl_c_lands_a_flight_and_its_figures_are_written(tmp_path):
+    out, record = tmp_path / "out.json", tmp_path / "flight"
+    words = ("--drones", "2", "--detector", "oracle", "--seconds", "600")
+    process = start(tmp_path, *words, "--json", str(out), "--record", str(record))
+    while not re.match(" +[23] s ", line := process.stdout.readline()):
+        assert line, "it ended before it flew"
+    process.send_signal(signal.SIGINT)
+    code, said, complained = finish(process)
+    assert (code, complained) == (3, "")
+    assert re.search(r"^NOT JUDGED: cut off after \d+ of 600 s\.", said.splitlines()[-1])
+    figures = json.loads(out.read_text())
+    assert 2.0 <= figures["cut_off_s"] < 60.0
+    assert figures["verdict"] == "not judged"
+    again = subprocess.run(
+        [sys.executable, "-m", "swarmtrack.agents.main", "replay", str(record)],
+        capture_output=True, text=True, cwd=ROOT, timeout=PATIENCE, check=False,
+    )  # fmt: skip
+    assert again.returncode == 3, again.stderr
+    assert "NOT JUDGED: cut off after" in again.stdout
+
+
 @pytest.mark.parametrize(
     "number",
     [
@@ -362,8 +384,10 @@ def test_whatever_ends_the_launcher_nothing_is_left(tmp_path, number):
     process = start(tmp_path, "--drones", "2", "--detector", "oracle", "--seconds", "60")
     until(lambda: pid_of(tmp_path, "drone-2.toml"), "drone 2 is started")
     process.send_signal(number)
-    code, _, complained = finish(process)
-    assert code == (-number if number == signal.SIGKILL else 1)
-    assert ("interrupted" in complained) == (number != signal.SIGKILL)
+    code, said, complained = finish(process)
+    assert (
+        code == -number if number == signal.SIGKILL else code in (1, 3)
+    )  # 3: it flew already, and is judged
+    assert ("interrupted" in said + complained) == (number != signal.SIGKILL)
     until(lambda: not living(tmp_path), "all processes have ended")
     until(lambda: not list(tmp_path.iterdir()), "the folder is removed")
