@@ -148,7 +148,7 @@ def test_a_replay_shows_the_pictures_of_all_cameras_side_by_side_with_the_boxes_
     assert last[60:80].mean() == pytest.approx(100, abs=5)
     # Its own target is at 150, and that of the other camera at 100 is not drawn here.
     columns = np.flatnonzero((np.ptp(last[105:135].astype(int), axis=2) > 60).any(axis=0))
-    assert 135 < columns.min() < columns.max() < 200
+    assert 135 < columns.min() < columns.max() < 215
 
 
 def test_of_cameras_that_a_drone_had_not_there_is_no_video(tmp_path, capsys):
