@@ -77,7 +77,7 @@ def _draw_map(axis: Any, course: FlightCourse) -> None:
     axis.grid(alpha=0.25)
     axis.set_xlabel("east, m")
     axis.set_ylabel("north, m")
-    source = "true paths" if course.truth else "paths as the drones reported them"
+    source = "true paths" if course.truth else "reported paths"
     axis.set_title(f"From above: {source}, from ○ to ●", loc="left")
 
 

@@ -48,7 +48,7 @@ def test_the_command_draws_a_page_and_says_what_is_not_on_it(flown, tmp_path, ca
     assert swarmtrack.main(["plot", str(flown), "--out", str(out)]) == 0
     assert "3 drones; the truth is not in it" in capsys.readouterr().out
     drawn = out.read_text()
-    for words in ("From above: paths as the drones reported them", "Names: given 100%"):
+    for words in ("From above: reported paths", "Names: given 100%"):
         assert f"<!-- {words}" in drawn
 
 
