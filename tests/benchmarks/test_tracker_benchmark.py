@@ -370,5 +370,5 @@ def test_what_cannot_be_run_is_refused_in_one_line(tmp_path, capsys, arguments, 
 
 def test_missing_peers_are_said_with_their_remedy(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "stonesoup", None)
-    with pytest.raises(MissingExtraError, match=r"swarmtrack\[peers\]"):
+    with pytest.raises(MissingExtraError, match=r"\.\[peers\]"):
         load_peers()

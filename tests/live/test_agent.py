@@ -25,6 +25,7 @@ from swarmtrack.agents import vehicle
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import load_config
 from swarmtrack.lab.scenarios.files import load_scenario
+from swarmtrack.outputs.annotated_video import CLOSING_S
 from swarmtrack.runtime.agent import make_health
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.wire import codec
@@ -138,7 +139,8 @@ def test_a_real_clip_becomes_a_line_and_a_picture_for_every_frame(tmp_path, clip
         *("w_px", "h_px", "status", "probability", "relative"),
     }  # fmt: skip
     video = cv2.VideoCapture(str(tmp_path / "annotated.mp4"))
-    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == FRAMES
+    closing = round(CLOSING_S * video.get(cv2.CAP_PROP_FPS)) + 1
+    assert int(video.get(cv2.CAP_PROP_FRAME_COUNT)) == FRAMES + closing
     assert f"Summary of 2.0 s, {FRAMES} scans" in result.stdout
 
 

@@ -184,7 +184,7 @@ def test_agents_that_name_each_other_right_pass_though_they_came_before_the_judg
 
 def test_what_falls_short_of_the_scenarios_limits_fails(judged):
     assert judged.limited.code == 1
-    assert "announcement_bytes of 2 drones" in judged.limited.out
+    assert "FAILED: announcement bytes of 2 drones" in judged.limited.out
 
 
 def test_who_is_missing_is_said(judged):
