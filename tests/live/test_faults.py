@@ -162,7 +162,8 @@ async def team(flight: OneFlight, request: pytest.FixtureRequest) -> AsyncIterat
     """The team of all tests that leave it whole; who fails has spent it."""
     failed = request.session.testsfailed
     team = await flight.team()
-    await team.until_settled(SETTLED_S)
+    await team.until_met()
+    await asyncio.sleep(SETTLED_S)
     yield team
     if request.session.testsfailed > failed:
         await flight.land()

@@ -350,13 +350,12 @@ class Team:
             f"each of {drones} names the others",
         )
 
-    async def until_settled(self, seconds: float) -> None:
-        """Until the last link that was made, by what any agent said, is so old."""
-        newest = max(self._announced(), default=0.0)
-        await asyncio.sleep(max(0.0, newest + seconds - time.monotonic()))
-
-    def _announced(self) -> list[float]:
-        return [t for agent in self.agents.values() for t in agent.times("announced itself")]
+    async def until_met(self) -> None:
+        """Until no agent misses another, by what they said last of each other."""
+        for observer, agent in self.agents.items():
+            for other in self.agents.keys() - {observer}:
+                gone = agent.times(f"drone {other} is gone")
+                await agent.until(f"drone {other} announced itself", gone[-1] if gone else 0.0)
 
     def wrong(self, observers: Sequence[int], since: float, until: float) -> int:
         """How often one of these observers gave a wrong name."""
