@@ -1,13 +1,16 @@
 """A small autopilot with PX4's manners: it streams unasked, at rates that follow its integration of the IMU.
 
-PX4's sender looks now and then, and when a message's interval is over it sends the newest sample there is. So of 250
-samples a second, asked for 200, come steps of 4, 4, 4 and 8 ms. In lockstep with a simulator, where time itself moves
-by 4 ms, all steps are of 8 ms: 124 Hz were measured. Every rate is accepted; none is higher than that of the samples.
+PX4's sender looks now and then, and when a message's interval is over it sends the newest sample there is. An interval
+of integration is a whole number of its gyro's: IMU_INTEG_RATE = 250 of 800 Hz makes samples of 3.75 ms. Asked for 250
+Hz, steps of 3.75 and 7.5 ms come, by no rule, as its sender looks when it gets its turn. In lockstep with a simulator,
+where time itself moves by 4 ms, all steps of 200 Hz are of 8 ms: 124 Hz were measured. Every rate is accepted; none is
+higher than that of the samples.
 """
 
 from __future__ import annotations
 
 import math
+import zlib
 from typing import Any
 
 from pymavlink.dialects.v20 import common
@@ -18,7 +21,9 @@ from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE
 from swarmtrack.lab.autopilots.reports import SENSED
 from swarmtrack.mavlink_dialect import CURRENT_MODE
 
+GYRO_HZ = 800  # of its sensor
 LOOKS_EVERY_US = 1000  # main loop of a fast link
+LOOKS_LATE_US = 700  # at most: the loop waits for its turn of the processor
 EARLY = 0.3  # of the main loop: as much too early is on time
 LATE_INTERVALS = 1.5  # intervals: who is later starts again, who is not keeps to the grid
 PX4_RATE_PARAMETER = "IMU_INTEG_RATE"
@@ -50,14 +55,17 @@ DEFAULTS: tuple[dict[int, float], ...] = (
 class NewestReports:
     """The stream of a message, as PX4's `MavlinkStream::update` sends it.
 
-    interval_us: as asked; sample_us: from sample to sample; look_us: from look to look of the sender. All on the
-    autopilot's own clock, in whole µs as PX4 has them.
+    interval_us: as asked; sample_us: from sample to sample; look_us: from look to look of the sender; late_us: by which
+    it looks late at most. All on the autopilot's own clock, in whole µs as PX4 has them.
     """
 
-    def __init__(self, interval_us: int, sample_us: int, look_us: int, stamp: float) -> None:
+    def __init__(
+        self, interval_us: int, sample_us: int, look_us: int, stamp: float, *, late_us: int = 0
+    ) -> None:
         self._interval = interval_us
         self._sample = sample_us
         self._look = look_us
+        self._late = late_us
         self.skip_to(stamp)
 
     def skip_to(self, stamp: float) -> None:
@@ -85,7 +93,10 @@ class NewestReports:
         over = self._last + self._interval - EARLY * LOOKS_EVERY_US
         look = math.floor(over / self._look) + 1
         fresh = -(-(self._newest + self._sample) // self._look)
-        self._due = max(look, fresh) * self._look
+        look = max(look, fresh)
+        # All streams are served by one loop, so each look is late for all of them.
+        late = zlib.crc32(look.to_bytes(8, "little")) % self._late if self._late else 0
+        self._due = look * self._look + late
 
 
 class SimulatedPx4(SimulatedVehicle):
@@ -129,6 +140,12 @@ class SimulatedPx4(SimulatedVehicle):
         return int(common.MAV_RESULT_ACCEPTED)
 
     def _stream(self, message_id: int, interval_us: float, stamp: float, channel: Channel) -> None:
-        sample = round(1e6 / self.parameters.values[PX4_RATE_PARAMETER])
-        look = sample if self._lockstep else LOOKS_EVERY_US
-        channel.streams[message_id] = NewestReports(round(interval_us), sample, look, stamp)
+        rate = self.parameters.values[PX4_RATE_PARAMETER]
+        sample = round(1e6 / rate) if self._lockstep else round(1e6 * integration_s(rate))
+        look, late = (sample, 0) if self._lockstep else (LOOKS_EVERY_US, LOOKS_LATE_US)
+        channel.streams[message_id] = NewestReports(round(interval_us), sample, look, stamp, late_us=late)
+
+
+def integration_s(rate_hz: float) -> float:
+    """s of an interval of integration that is asked for as a rate: whole samples of the gyro, at least one."""
+    return max(math.floor(GYRO_HZ / rate_hz), 1) / GYRO_HZ

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import common
 
 ParameterValue = int | float
 
-# Values as a fresh ArduCopter 4.7 and a fresh PX4 1.15 have them.
+# Values as a fresh ArduCopter 4.7 and a fresh PX4 1.15 have them; IMU_INTEG_RATE as its simulators do.
 ARDUPILOT_PARAMETERS: Mapping[str, ParameterValue] = {
     "FENCE_ACTION": 1,
     "FENCE_ALT_MAX": 100.0,
@@ -36,7 +36,7 @@ PX4_PARAMETERS: Mapping[str, ParameterValue] = {
     "GF_MAX_VER_DIST": 0.0,
     "IMU_GYRO_CUTOFF": 40.0,
     "IMU_GYRO_RATEMAX": 400,
-    "IMU_INTEG_RATE": 200,
+    "IMU_INTEG_RATE": 250,
     "MIS_TAKEOFF_ALT": 2.5,
     "MPC_XY_VEL_MAX": 12.0,
     "MPC_Z_VEL_MAX_DN": 1.5,

@@ -20,7 +20,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot, SimulatedVehicle
 from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4_FIRMWARE, FlightMode
 from swarmtrack.lab.autopilots.pilot import GuidedPilot, OnItsPath, Pilot
-from swarmtrack.lab.autopilots.px4 import LOCKSTEP_HZ, SimulatedPx4
+from swarmtrack.lab.autopilots.px4 import LOCKSTEP_HZ, SimulatedPx4, integration_s
 from swarmtrack.lab.autopilots.senses import DroneSenses
 from swarmtrack.lab.autopilots.truth import DroneTruth
 from swarmtrack.lab.scenarios.oracle import OracleDetector
@@ -376,9 +376,8 @@ def _imu(kind: AutopilotKind, rate_hz: float) -> ImuParameters:
         case AutopilotKind.ARDUPILOT:
             return ImuParameters(rate_hz=rate_hz, filter_hz=ARDUCOPTER.parameters["INS_GYRO_FILTER"])
         case AutopilotKind.PX4:
-            return ImuParameters(
-                rate_hz=rate_hz, filter_hz=0.0, window_s=1.0 / PX4_FIRMWARE.parameters["IMU_INTEG_RATE"]
-            )
+            window_s = integration_s(PX4_FIRMWARE.parameters["IMU_INTEG_RATE"])
+            return ImuParameters(rate_hz=rate_hz, filter_hz=0.0, window_s=window_s)
         case AutopilotKind.PX4_LOCKSTEP:
             return ImuParameters(rate_hz=rate_hz, filter_hz=0.0, window_s=1.0 / LOCKSTEP_HZ)
 

@@ -81,13 +81,13 @@ ARDUPILOT_RESPONSE = Response(
 # Its simulator has drag, which only the slow integral of the velocity controller takes up: a steep start, a long tail.
 PX4_RESPONSE = Response(
     level=Axis(
-        speed=12.0, acceleration=9.0, jerk=37.0, lag=0.12, gain=1.9, approach=2.0, integral=0.36, drag=0.82
+        speed=12.0, acceleration=9.0, jerk=54.0, lag=0.13, gain=1.9, approach=2.0, integral=0.36, drag=0.82
     ),
     vertical=Axis(speed=3.0, acceleration=4.0, jerk=8.0, lag=0.10, gain=3.0, approach=1.5),
     yaw_omega=7.0,
     yaw_zeta=0.5,
     yaw_dead_s=0.07,
-    yaw_rate=1.95,
+    yaw_rate=2.3,
     yaw_gain=2.5,
     yaw_acceleration=6.0,
     hold_s=0.5,

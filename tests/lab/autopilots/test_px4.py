@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega
 from support.ground_station import Bench
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.geodesy import Geodetic, to_ned
-from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE
+from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4_FIRMWARE
 from swarmtrack.lab.autopilots.pilot import GuidedPilot
 from swarmtrack.lab.autopilots.px4 import SimulatedPx4
 from swarmtrack.lab.autopilots.senses import NO_ERRORS, DroneSenses
@@ -21,7 +21,8 @@ from swarmtrack.lab.autopilots.truth import DroneTruth
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
 from swarmtrack.lab.world.guided import GuidedDrone
-from swarmtrack.lab.world.trajectory import Hover
+from swarmtrack.lab.world.response import SetPoint, advance, at_rest
+from swarmtrack.lab.world.trajectory import Hover, attitude_and_rate
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array
 
@@ -59,14 +60,17 @@ def test_in_lockstep_the_rates_are_those_that_were_measured(asked, got):
     assert all(step % 4 == 0 for step in steps)
 
 
-def test_of_250_samples_asked_for_200_come_steps_of_4_4_4_and_8_ms():
+@pytest.mark.parametrize("asked", [200, 250])
+def test_an_interval_of_integration_is_of_whole_samples_and_the_sender_leaves_some_out(asked):
     bench = hovering()
-    bench.autopilot.parameters.values["IMU_INTEG_RATE"] = 250
-    steps = steps_ms(bench, 200)
-    assert Counter(steps)[4] == pytest.approx(3 * Counter(steps)[8], abs=3)
-    assert set(steps) == {4, 8}
-    begin = steps.index(8) + 1
-    assert steps[begin : begin + 40] == [4, 4, 4, 8] * 10
+    bench.companion.ask(IMU, asked, bench.now)
+    bench.run(4.0)
+    stamps = [m.time_usec for m in bench.companion.of("HIGHRES_IMU")][asked:]
+    # 800 Hz, three at a time.
+    steps = Counter(np.diff(stamps).tolist())
+    assert set(steps) == {3750, 7500}
+    left_out = 1.0 - asked / (1e6 / 3750)
+    assert steps[7500] / (len(stamps) - 1 + steps[7500]) == pytest.approx(left_out, abs=0.01)
 
 
 @pytest.mark.parametrize(
@@ -120,7 +124,7 @@ def test_whole_parameters_come_as_bits():
 
     value, kind = told("IMU_INTEG_RATE")
     assert kind == ardupilotmega.MAV_PARAM_TYPE_INT32
-    assert struct.unpack("<i", struct.pack("<f", value)) == (200,)
+    assert struct.unpack("<i", struct.pack("<f", value)) == (250,)
     assert told("IMU_GYRO_CUTOFF") == (40.0, ardupilotmega.MAV_PARAM_TYPE_REAL32)
 
 
@@ -142,7 +146,8 @@ def test_its_truth_is_not_stamped():
         np.testing.assert_allclose(to_ned(place, SCENARIO_ORIGIN), motion.position, atol=0.015)
         np.testing.assert_allclose((m.vx, m.vy, m.vz), 1e2 * motion.velocity, atol=0.51)
         attitude = rotation.from_quaternion(np.array(m.attitude_quaternion))
-        np.testing.assert_allclose(attitude, motion.attitude, atol=1e-5)
+        # The stamp beside it is in whole milliseconds.
+        np.testing.assert_allclose(attitude, motion.attitude, atol=1e-4)
     assert bench.ground.of("SIM_STATE") == []
     assert bench.ground.of("COMMAND_ACK")[-1].result == ardupilotmega.MAV_RESULT_FAILED
 
@@ -239,15 +244,31 @@ def test_steps_of_velocity_take_the_time_that_px4_took():
     )
 
 
-def test_it_turns_at_2_2_rad_per_second_and_keeps_its_heading_on_the_way_to_a_place():
+def test_it_turns_at_2_7_rad_per_second_and_keeps_its_heading_on_the_way_to_a_place():
     bench = Px4Bench()
     bench.climb()
     bench.ground.ask(ardupilotmega.MAVLINK_MSG_ID_HIL_STATE_QUATERNION, 50.0, bench.now)
     bench.keep_telling(4.0, position=(0.0, 0.0, -5.0), yaw=math.pi / 2.0)
-    assert max(m.yawspeed for m in bench.ground.of("HIL_STATE_QUATERNION")) == pytest.approx(2.2, rel=0.1)
+    assert max(m.yawspeed for m in bench.ground.of("HIL_STATE_QUATERNION")) == pytest.approx(2.7, rel=0.05)
     assert bench.drone.state(bench.now).yaw == pytest.approx(math.pi / 2.0, abs=0.02)
     bench.keep_telling(6.0, position=(6.0, 0.0, -5.0))
     assert bench.drone.state(bench.now).yaw == pytest.approx(math.pi / 2.0, abs=0.02)
+
+
+def test_it_rolls_and_turns_three_times_as_fast_as_an_arducopter():
+    """From 5 m/s to one side to 5 m/s to the other; and half round."""
+    peaks = []
+    for response in (PX4_FIRMWARE.response, ARDUCOPTER.response):
+        state, rates = at_rest(0.0, (0.0, 0.0, -5.0), 0.0), []
+        while state.t < 12.0:
+            east = 5.0 if state.t < 4.0 else -5.0
+            told = SetPoint(state.t, velocity=(0.0, east, 0.0), yaw=0.0 if state.t < 8.0 else 3.0)
+            state = advance(state, told, response)
+            thrust, jerk = np.array(state.thrust), np.array(state.thrust_jerk)
+            rates.append(attitude_and_rate(thrust, jerk, state.yaw, state.yaw_rate)[1])
+        peaks.append(np.abs(rates).max(axis=0)[[0, 2]])
+    assert peaks[0] == pytest.approx([4.2, 2.7], rel=0.05)
+    assert (peaks[0] > 2.0 * peaks[1]).all()
 
 
 def test_it_does_not_know_arducopters_command_to_turn():

@@ -120,7 +120,7 @@ def test_px4_turns_by_ninety_degrees_in_a_second() -> None:
     )
     times = [reached(t, share, of) for of in (0.10, 0.50, 0.63, 0.80, 0.90)]
     assert times == pytest.approx((0.30, 0.64, 0.74, 0.88, 0.98), rel=0.15)
-    assert max(state.yaw_rate for state in flight) == pytest.approx(2.2, rel=0.1)
+    assert max(state.yaw_rate for state in flight) == pytest.approx(2.7, rel=0.05)
 
 
 def test_silence_keeps_the_velocity_for_three_seconds_and_then_brakes() -> None:
