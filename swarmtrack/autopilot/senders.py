@@ -62,10 +62,11 @@ class SenderWatch:
     """Counts of the frames under our autopilot's ID, and whether they contradict each other. All times are ours [s].
 
     came, lost: frames, since the start; a longer gap than SEQUENCE_LOSS is taken for another count and not in it.
+    breaks: frames whose number was not the next one of any count.
     """
 
     def __init__(self) -> None:
-        self.came = self.lost = 0
+        self.came = self.lost = self.breaks = 0
         self._counts: list[FrameCount] = []
         """Latest first."""
         self._turns: dict[Hashable, _Turn] = {}
@@ -81,6 +82,7 @@ class SenderWatch:
             return
         ahead = [(number - count.number) % NUMBERS for count in counts]
         best = min(range(len(counts)), key=lambda k: (ahead[k] or NUMBERS, k), default=None)
+        self.breaks += best is None or ahead[best] != 1
         if best is not None and 0 < ahead[best] <= SEQUENCE_LOSS:
             count = counts.pop(best)
             self.lost += ahead[best] - 1

@@ -428,11 +428,12 @@ def _data_stream(stream: MessageStream, target: AutopilotAddress) -> Any:
 
 
 class Gap(NamedTuple):
-    """An interval that is longer than usual. run: usual intervals since the last one; ticks: usual ones in it."""
+    """An interval that is longer than usual. run: usual intervals since the last one; ticks: usual ones in it; lost:
+    samples, None: the sender left out what is missing, as its frames' numbers prove."""
 
     run: int
     ticks: int
-    lost: int
+    lost: int | None
 
 
 class Rhythm(NamedTuple):
@@ -451,12 +452,16 @@ class Cadence:
     8 ms. A receiver that learned 4 ms earlier sees gaps, but nothing was lost. Random losses at any rate have at most
     0.385 of their gaps alike (of one length, after one of two neighbouring runs: (1 - p) p (2 - p) at p = 0.42), so
     where most of the last ones are, they are a rhythm: they count as lost no more, nor do those that taught us so.
+
+    A sender that looks for samples in its own time has no rhythm. But it leaves out at most every second one, and what
+    it did not send has no number: such a gap between frames whose numbers are whole has lost nothing.
     """
 
     GAP = 1.8  # of the usual interval: ArduPilot's loop makes 5.0 and 7.5 ms of 6 ms
     SILENCE = 0.1  # s: nobody who is slower is worth being asked for another rate
     LEARNING = 20  # intervals whose median is the usual one, and gaps in a row that mean a new rate
     MEMORY = 200  # intervals: it follows their mean from there
+    LEFT_OUT = 2  # usual intervals in a gap that a sender makes: its own are of n and of n + 1 samples
     RHYTHM = 40  # gaps that are looked at for a rule
     ALIKE = 0.7  # of them follow it: by chance once in 20,000 times at the worst, at a loss of 5 % never
 
@@ -483,8 +488,9 @@ class Cadence:
         # Usual intervals since the last gap, and since the last one that the rhythm demands.
         self._run = self._beat = 0
 
-    def observe(self, stamp: float) -> bool:
-        """Take the next stamp [s]; False where it is not later than the last one."""
+    def observe(self, stamp: float, *, is_whole: bool = False) -> bool:
+        """Take the next stamp [s]; False where it is not later than the last one. is_whole: since the last one no
+        number of a frame is missing."""
         if self.newest is None:
             self.newest = stamp
             return True
@@ -504,7 +510,7 @@ class Cadence:
         elif self._seen < self.LEARNING:
             self._learn(interval)
         elif interval > self.GAP * self.period:
-            self._on_gap(round(interval / self.period))
+            self._on_gap(round(interval / self.period), is_whole=is_whole)
         else:
             self._on_usual(interval)
         return True
@@ -531,20 +537,28 @@ class Cadence:
         self._seen += 1
         self.period += (interval - self.period) / min(self._seen, self.MEMORY)
 
-    def _on_gap(self, ticks: int) -> None:
-        self._just_lost = self._missing(ticks)
-        self._count(self._just_lost)
-        self._past.append(Gap(self._run, ticks, self._just_lost))
+    def _on_gap(self, ticks: int, *, is_whole: bool) -> None:
+        is_left_out = is_whole and ticks <= self.LEFT_OUT
+        gap = Gap(self._run, ticks, None if is_left_out else self._missing(ticks))
+        self._take_gap(gap)
+        self._past.append(gap)
         self._run = 0
         self._gaps_in_a_row += 1
         if self._gaps_in_a_row == self.LEARNING:
-            for gap in list(self._past)[-self.LEARNING :]:
-                self._count(-gap.lost)
+            for past in list(self._past)[-self.LEARNING :]:
+                self._count(-(past.lost or 0))
             self.learn_again()
         elif self._rhythm is None and len(self._past) == self.RHYTHM:
             self._rhythm = self._find_rhythm()
             if self._rhythm is not None:
                 self._judge_again(self._rhythm)
+
+    def _take_gap(self, gap: Gap) -> None:
+        if gap.lost is None:
+            # As one that the rhythm demands.
+            self._beat = 0
+        self._just_lost = gap.lost or 0
+        self._count(self._just_lost)
 
     def _count(self, lost: int) -> None:
         """Of one gap; negative: that was none."""
@@ -573,7 +587,6 @@ class Cadence:
     def _judge_again(self, rhythm: Rhythm) -> None:
         self._beat = rhythm.run - self._past[0].run
         for gap in self._past:
-            self._count(-gap.lost)
+            self._count(-(gap.lost or 0))
             self._beat += gap.run
-            self._just_lost = self._missing(gap.ticks)
-            self._count(self._just_lost)
+            self._take_gap(gap._replace(lost=None if gap.lost is None else self._missing(gap.ticks)))

@@ -29,6 +29,7 @@ from swarmtrack.autopilot.limits import (
     IMU_STALE_AFTER_S,
     LOCAL_POSITION_AGE_S,
     LOCAL_POSITION_SIGMA_M,
+    NUMBERED_GAP_S,
     OTHER_BASE_STAMPS,
     POSE_CLOCK_MISMATCH_S,
     POSE_MISSED_S,
@@ -147,6 +148,7 @@ class Telemetry:
         self._poses_without_position = self._reboots = self._replaced = 0
 
         self.cadence = Cadence()
+        self._breaks_before = 0
         self.imu_at = -math.inf  # when the last sample came
         self.imu_rate_hz = 0.0
         self.slow_gyro = False
@@ -323,7 +325,7 @@ class Telemetry:
         if not is_possible:
             self.gyro.throw(IMPOSSIBLE)
             return
-        if not self.cadence.observe(stamp):
+        if not self.cadence.observe(stamp, is_whole=self._is_whole(t)):
             self.gyro.throw(STANDING_CLOCK)
             return
         self._observe_clock(stamp, t)
@@ -342,6 +344,12 @@ class Telemetry:
         self.gyro.used += 1
         accel = accel if all(map(math.isfinite, accel.tolist())) else NOT_MEASURED
         self.listener.on_imu(ImuSample(ours, gyro, accel, delay))
+
+    def _is_whole(self, t: float) -> bool:
+        """Whether no number of a frame is missing since the last sample. Across a longer gap they may have begun again,
+        and a recording has none."""
+        before, self._breaks_before = self._breaks_before, self.senders.breaks
+        return self.senders.came > 0 and before == self.senders.breaks and t - self.imu_at < NUMBERED_GAP_S
 
     def _imu_changed(self) -> None:
         self._news.warn("imu source", "%s: IMU now from %s", self._name, self.imu_source.name)

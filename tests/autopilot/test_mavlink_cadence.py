@@ -106,3 +106,46 @@ def test_who_agrees_to_another_rate_has_no_gap(period):
     for _ in range(100):
         cadence.observe(cadence.newest + period)
     assert cadence.gaps == 0
+
+
+def sent_when_it_looks(n: int) -> list[float]:
+    """Stamps [s] of samples of 266.7 Hz from a sender that was asked for 250 Hz and looks late now and then."""
+    looks = np.cumsum(0.001 + 0.0006 * np.random.default_rng(5).random(n))
+    stamps, due = [0.0], 0.0
+    for look in looks.tolist():
+        newest = 0.00375 * (look // 0.00375)
+        if look >= due and newest > stamps[-1]:
+            stamps.append(newest)
+            due = max(due + 0.004, look - 0.002)
+    return stamps
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02])
+def test_what_has_no_number_was_left_out_whatever_its_rhythm_and_what_has_one_is_lost(share):
+    stamps = sent_when_it_looks(60_000)
+    kept = np.random.default_rng(3).random(len(stamps)) >= share
+    kept[[0, -1]] = True
+    by_stamps_alone, cadence, last = Cadence(), Cadence(), 0
+    for k in np.flatnonzero(kept).tolist():
+        between = [n for n in range(last + 1, k) if not kept[n]]
+        by_stamps_alone.observe(stamps[k])
+        cadence.observe(stamps[k], is_whole=not between)
+        last = k
+    lost = int((~kept).sum())
+    assert by_stamps_alone.lost > lost + 0.02 * len(stamps), "no rule is found in it"
+    # Where a lost one follows one that was left out, that one counts too.
+    assert lost <= cadence.lost <= 1.2 * lost
+
+
+def test_a_sender_that_halves_its_rate_is_followed():
+    cadence = Cadence()
+    for stamp in np.cumsum([0.004] * 100 + [0.008] * 500):
+        cadence.observe(float(stamp), is_whole=True)
+    assert (cadence.lost, cadence.gaps) == (0, 0)
+    assert cadence.period == pytest.approx(0.008, rel=0.02)
+
+
+def test_a_longer_silence_is_a_gap_although_no_number_is_missing():
+    cadence, _ = listen(STEADY)
+    cadence.observe(cadence.newest + 0.04, is_whole=True)
+    assert (cadence.lost, cadence.gaps) == (9, 1)

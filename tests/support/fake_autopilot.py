@@ -101,10 +101,10 @@ class FakeAutopilot(FakeVehicle, SimulatedArduPilot):
 
 
 class FakePx4(FakeVehicle, SimulatedPx4):
-    """A PX4 in lockstep: of 250 samples a second 125 go where 200 are asked for."""
+    """A PX4. lockstep: of 250 samples a second 125 go where 200 are asked for."""
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(lockstep=True, **options)
+    def __init__(self, *, lockstep: bool = True, **options: Any) -> None:
+        super().__init__(lockstep=lockstep, **options)
 
 
 def imu_report(autopilot: FakeVehicle, stamp: float) -> Any:
