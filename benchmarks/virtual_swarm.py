@@ -198,7 +198,7 @@ class VirtualSwarm:
             places_anybody=self._places_anybody,
         )
         imu = Imu(scenario.world, drone_id, ImuParameters(rate_hz=scenario.imu_rate_hz))
-        ego = Ego(scenario.world, drone_id)
+        ego = scenario.ego(drone_id)
         if not scenario.announces:
             self._file(onboard, drone_id)
             return _Drone(onboard, imu, ego)

@@ -27,6 +27,7 @@ from swarmtrack.lab.scenarios.scenario import (
     Ghost,
     Scenario,
     ScenarioCamera,
+    Wind,
     announced_starts,
 )
 from swarmtrack.lab.world.airframe import Airframe
@@ -56,8 +57,7 @@ SHOWS_S, SHOW_S, SHOW_M_S = 4.0, 2.0, 0.8
 # s, world time: the intruder sets out, so far from the slot that it flies through [m]; and a leader that homes in.
 INTRUDES_S, INTRUDER_FROM_M = 16.0, 14.0
 SPAN_M = 0.5
-# m/s², the drag of a wind of 6 m/s, against which a drone leans by 10°; and m RMS an axis, by which it sways in gusts.
-WIND_DRAG_M_S2, GUSTS_M = 1.7, 0.25
+WIND = Wind(speed_m_s=6.0)
 # Ghosts: m from a follower, in front of it give or take rad; m, how near a drone would be that looks as large; m above
 # the ground; how often the detector fires on each, and with which scores: from … to.
 GHOST_FROM_M, GHOST_BESIDE = (15.0, 50.0), 0.5
@@ -260,7 +260,6 @@ def leader_velocity(t: float, speed: float, turn_s: float = TURN_S) -> Triple:
 
 def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenario:
     chance = World(seed, {}).chance
-    wind_from = float(chance("wind").uniform(-math.pi, math.pi))
     drones, airframes = {}, {}
     for drone, slot in slots.items():
         off = chance("beside its slot", drone).standard_normal(3) * (1.0, 1.0, 0.4)
@@ -268,14 +267,8 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
             off = np.zeros(3)
         north, east, down = (np.array(slot) + off - (0.0, 0.0, HEIGHT_M)).tolist()
         yaw = math.atan2(-slot[1], -slot[0]) if drone != LEADER else 0.0
-        drift = wander(chance("wander", drone), GUSTS_M if plan.wind else DRIFT_M)
-        drones[drone] = flown = GuidedDrone((north, east, down), yaw, ARDUPILOT_RESPONSE, drift, hovers=True)
-        if plan.wind:
-            flown.against_wind = (
-                WIND_DRAG_M_S2 * math.cos(wind_from),
-                WIND_DRAG_M_S2 * math.sin(wind_from),
-                0.0,
-            )
+        drift = wander(chance("wander", drone), WIND.gusts_m if plan.wind else DRIFT_M)
+        drones[drone] = GuidedDrone((north, east, down), yaw, ARDUPILOT_RESPONSE, drift, hovers=True)
         airframes[drone] = Airframe().scaled(
             SPAN_M * math.exp(plan.size_drone * chance("size", drone).standard_normal())
         )
@@ -291,6 +284,8 @@ def _scenario(plan: FlightPlan, slots: Mapping[int, Place], seed: int) -> Scenar
         drones[INTRUDER] = GuidedDrone(start, 0.0, ARDUPILOT_RESPONSE, drift, hovers=True)
         airframes[INTRUDER] = Airframe()
     world = World(seed, drones, airframes)
+    if plan.wind:
+        world = WIND.blows(world)
     failure = plan.failure
     swapped = (LEADER, failure.victim) if failure is not None and failure.fault is Fault.SWAPPED else ()
     return Scenario(

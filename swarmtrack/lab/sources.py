@@ -32,7 +32,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.world.rendering import Renderer
-from swarmtrack.lab.world.sensors import Ego, Imu, ImuParameters
+from swarmtrack.lab.world.sensors import Imu, ImuParameters
 from swarmtrack.messages import Announcement, FlightState, Frame, LinkStatus, StampKind
 from swarmtrack.sources import AutopilotListener
 
@@ -282,7 +282,7 @@ class SimulatedAutopilot:
 
     def __init__(self, scenario: Scenario, drone_id: int, timing: _Timing, imu: ImuParameters) -> None:
         self._imu = Imu(scenario.world, drone_id, imu)
-        self._ego = Ego(scenario.world, drone_id)
+        self._ego = scenario.ego(drone_id)
         self._timing = timing
         self._imu_delivered = 0
         self._poses_delivered = 0

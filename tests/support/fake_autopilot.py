@@ -29,6 +29,8 @@ class FakeVehicle(SimulatedVehicle):
     """Senses its own public attributes. understands_intervals: False for an old firmware; key: signs with it; the
     rest: as any simulated autopilot."""
 
+    position_lost = False
+
     def __init__(
         self,
         *,

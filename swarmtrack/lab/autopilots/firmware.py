@@ -24,6 +24,7 @@ class FlightMode(Enum):
     BRAKE = auto()
     TAKE_OFF = auto()
     LAND = auto()
+    RETURN = auto()
 
 
 class ModeNumbers(NamedTuple):
@@ -40,6 +41,7 @@ class Firmware:
 
     stream_s: guided flight needs set points at least this often [s], and lifts off by them; inf: it does not, and
     needs a take-off. Without them it falls into POSITION, and goes back once they come again: its intention stays.
+    return_m: above the ground, on its way home, unless it is higher.
     nose: a go-to without a heading turns the nose to the way point. above_sea: a take-off's height
     is; take_off_m: above the ground, if no height is asked for; NaN: one must be. idle_s, landed_s: the motors stop by
     themselves so long after arming without a take-off, and after landing. armed_state: MAV_STATE on the ground with the
@@ -54,6 +56,7 @@ class Firmware:
     refused: int
     takes_off_in: FlightMode
     stream_s: float
+    return_m: float
     nose: bool
     above_sea: bool
     take_off_m: float
@@ -83,12 +86,14 @@ ARDUCOPTER = Firmware(
         FlightMode.BY_HAND: ModeNumbers("STABILIZE", _BY_HAND, 0),
         FlightMode.GUIDED: ModeNumbers("GUIDED", _BY_HAND | _BY_ITSELF, 4),
         FlightMode.HOLD: ModeNumbers("LOITER", _BY_HAND, 5),
+        FlightMode.RETURN: ModeNumbers("RTL", _BY_HAND, 6),
         FlightMode.LAND: ModeNumbers("LAND", _BY_HAND, 9),
         FlightMode.BRAKE: ModeNumbers("BRAKE", _BY_HAND, 17),
     },
     refused=common.MAV_RESULT_FAILED,
     takes_off_in=FlightMode.GUIDED,
     stream_s=math.inf,
+    return_m=15.0,
     nose=True,
     above_sea=False,
     take_off_m=math.nan,
@@ -114,11 +119,15 @@ PX4_FIRMWARE = Firmware(
         ),
         FlightMode.POSITION: ModeNumbers("POSCTL", _BY_HAND, _px4_mode(3)),
         FlightMode.HOLD: ModeNumbers("HOLD", _BY_ITSELF | common.MAV_MODE_FLAG_AUTO_ENABLED, _px4_mode(4, 3)),
+        FlightMode.RETURN: ModeNumbers(
+            "RTL", _BY_ITSELF | common.MAV_MODE_FLAG_AUTO_ENABLED, _px4_mode(4, 5)
+        ),
         FlightMode.LAND: ModeNumbers("LAND", _BY_ITSELF | common.MAV_MODE_FLAG_AUTO_ENABLED, _px4_mode(4, 6)),
     },
     refused=common.MAV_RESULT_TEMPORARILY_REJECTED,
     takes_off_in=FlightMode.TAKE_OFF,
     stream_s=1.0,
+    return_m=30.0,
     nose=False,
     above_sea=True,
     take_off_m=2.5,

@@ -33,6 +33,9 @@ ARMED_BEFORE_S = 2.0  # s on the ground with the motors on
 LOOKS_EVERY = 0.1  # s: how soon a pilot notices what happened by itself
 LASTING_SETPOINT_T = math.inf  # as the time of a set point: it needs no other after it
 CHANGE_MODE = common.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+# s without a position until its filter fails, and lands.
+BLIND_S = 1.0
+RETURNED_M = 0.5  # so near to a height, and to a place above its start, it is there
 # s: set points that come for so long, none later than that after the other, end a failsafe of PX4.
 RETURNS_S = 0.5
 
@@ -81,6 +84,10 @@ class Pilot(Protocol):
         """By its number in a heartbeat; the MAV_RESULT."""
         ...
 
+    def return_home(self, now: float) -> None:
+        """By a failsafe of its battery."""
+        ...
+
     def take_texts(self) -> list[tuple[int, str]]:
         """MAV_SEVERITY and words of what there was to say since."""
         ...
@@ -118,6 +125,9 @@ class OnItsPath:
 
     def set_mode(self, custom: int, now: float) -> int:
         return int(common.MAV_RESULT_UNSUPPORTED)
+
+    def return_home(self, now: float) -> None:
+        """It has its path."""
 
     def take_texts(self) -> list[tuple[int, str]]:
         return []
@@ -177,8 +187,9 @@ class GuidedPilot:
     held where it is.
 
     epoch: world time 0 on the caller's clock; origin: of the world on the Earth; located: whether the autopilot knows
-    where it is at a time of the caller's clock, without which it neither arms nor is guided; errors: by how much it is
-    off. Its velocity is GPS's, so that an error of the heading turns its nose, and not its way.
+    where it is at a time of the caller's clock, without which it is not guided, and lands; ready: whether it arms;
+    errors: by how much it is off. Its velocity is GPS's, so that an error of the heading turns its nose, and not its
+    way.
     """
 
     def __init__(
@@ -190,6 +201,7 @@ class GuidedPilot:
         origin: Geodetic,
         located: Callable[[float], bool],
         errors: LastingErrors,
+        ready: Callable[[float], bool] = lambda t: True,
     ) -> None:
         self.phase = Phase.FLYING if drone.airborne else Phase.ON_GROUND
         self._drone = drone
@@ -199,6 +211,7 @@ class GuidedPilot:
         self._epoch = epoch
         self._origin = origin
         self._located = located
+        self._ready = ready
         self._mode = self._intended = FlightMode.HOLD if drone.airborne else FlightMode.BY_HAND
         self._streams_since = math.inf  # world time
         self._texts: list[tuple[int, str]] = []
@@ -206,6 +219,8 @@ class GuidedPilot:
         self._last_set_point = -math.inf  # world time
         self._climbs_to = 0.0  # m, NED, as it believes
         self._looked = -math.inf
+        self._located_at = -math.inf
+        self._is_high = False
 
     @property
     def armed(self) -> bool:
@@ -248,13 +263,50 @@ class GuidedPilot:
             self._fire(PilotEvent.REACHED)
             if self._firmware.takes_off_in is FlightMode.TAKE_OFF:
                 self._mode = self._intended = FlightMode.HOLD
-        if self._mode is FlightMode.GUIDED and t - self._last_set_point > self._firmware.stream_s:
-            self._say(common.MAV_SEVERITY_WARNING, "Failsafe activated: no set points")
-            self._brake(FlightMode.POSITION, t)
+        self._fail_safe(now, t)
         patience = self._firmware.landed_s if self._drone.touched_s > -math.inf else self._firmware.idle_s
         if self.phase is Phase.IDLING and t - self._quiet_since > patience:
             self._fire(PilotEvent.DISARM)
             self._say(common.MAV_SEVERITY_INFO, "Disarming motors")
+
+    def _fail_safe(self, now: float, t: float) -> None:
+        """What it does by itself, whatever its pilot intends."""
+        if self._located(now):
+            self._located_at = now
+        if self._mode is FlightMode.GUIDED and t - self._last_set_point > self._firmware.stream_s:
+            self._say(common.MAV_SEVERITY_WARNING, "Failsafe activated: no set points")
+            self._brake(FlightMode.POSITION, t)
+        if now - self._located_at > BLIND_S and self._mode not in (FlightMode.LAND, FlightMode.BY_HAND):
+            self._descend(t, "EKF failsafe: no position")
+        if self._mode is FlightMode.RETURN and self.phase in (Phase.CLIMBING, Phase.FLYING):
+            self._go_home(t)
+
+    def return_home(self, now: float) -> None:
+        """By a failsafe of its battery: up, to above its start, and down."""
+        if self.phase not in (Phase.CLIMBING, Phase.FLYING):
+            return
+        self._say(common.MAV_SEVERITY_CRITICAL, "Battery failsafe: returns")
+        self._mode, self._is_high = FlightMode.RETURN, False
+        self._go_home(now - self._epoch)
+
+    def _descend(self, t: float, why: str) -> None:
+        if self._fire(PilotEvent.LAND):
+            self._say(common.MAV_SEVERITY_CRITICAL, why)
+            self._mode = FlightMode.LAND
+            self._drone.command(t, SetPoint(LASTING_SETPOINT_T, velocity=(0.0, 0.0, LAND_SPEED)))
+
+    def _go_home(self, t: float) -> None:
+        here, home = self._believed(t).position, self._drone.start
+        top = self._drone.ground - self._firmware.return_m
+        self._is_high = self._is_high or here[2] < top + RETURNED_M
+        if self._is_high and math.hypot(here[0] - home[0], here[1] - home[1]) < RETURNED_M:
+            self._fire(PilotEvent.LAND)
+            self._drone.command(t, SetPoint(LASTING_SETPOINT_T, velocity=(0.0, 0.0, LAND_SPEED)))
+            return
+        north, east = home[:2] if self._is_high else here[:2]
+        self._fire(PilotEvent.STEER)
+        above = SetPoint(LASTING_SETPOINT_T, position=(north, east, min(top, here[2])), yaw_rate=0.0)
+        self._drone.command(t, _moved(above, self._errors.local))
 
     # ── commands ─────────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -353,7 +405,9 @@ class GuidedPilot:
     def _arm(self, t: float) -> bool:
         if not self._located(t + self._epoch):
             return self._refuse("Arm: Need Position Estimate")
-        if self._mode is FlightMode.LAND:
+        if not self._ready(t + self._epoch):
+            return self._refuse("Arm: waiting for the estimator")
+        if self._mode in (FlightMode.LAND, FlightMode.RETURN):
             return self._refuse("Arm: mode not armable")
         if not self._fire(PilotEvent.ARM):
             return self.phase in AIRBORNE_PHASES  # it is armed already
@@ -383,6 +437,7 @@ class GuidedPilot:
             return self._refuse("Switching to Offboard is currently not available: no set points")
         self._intended = mode
         self._brake(mode, t)
+        self._is_high = False
         return True
 
     def _brake(self, mode: FlightMode, t: float) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.lab.world.response import Triple
-from swarmtrack.lab.world.sensors import Ego, EgoParameters, Imu, ImuParameters
+from swarmtrack.lab.world.sensors import Ego, Imu, ImuParameters
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array
 
@@ -66,7 +66,9 @@ NO_ERRORS = LastingErrors(lambda t: 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Senses(Protocol):
-    """What an autopilot measures and estimates at any time."""
+    """What an autopilot measures and estimates at any time. position_lost: its receiver finds nothing now."""
+
+    position_lost: bool
 
     def at(self, t: float) -> SensedState: ...
 
@@ -80,7 +82,8 @@ class Senses(Protocol):
 
 
 class DroneSenses:
-    """The senses of one drone of a world. epoch: world time 0 on the caller's clock.
+    """The senses of one drone of a world. epoch: world time 0 on the caller's clock; ego: its estimate, None: an
+    ArduPilot's.
 
     earth: where the world's origin lies on the Earth, None for a drone without GPS. GPS has one error for the whole
     flight, as it hardly changes within minutes: gps_sigma m north and east, gps_vertical_sigma m in height. The local
@@ -96,7 +99,7 @@ class DroneSenses:
         epoch: float,
         *,
         imu: ImuParameters | None = None,
-        ego: EgoParameters | None = None,
+        ego: Ego | None = None,
         earth: Geodetic | None = None,
         gps_sigma: float = 0.8,
         gps_vertical_sigma: float | None = None,
@@ -107,7 +110,7 @@ class DroneSenses:
         self._drone_id = drone_id
         self._epoch = epoch
         self._imu = Imu(world, drone_id, imu)
-        self._ego = Ego(world, drone_id, ego)
+        self._ego = ego or Ego(world, drone_id)
         self._earth = earth
         self._gps_sigma = gps_sigma
         self._gps_vertical_sigma = gps_sigma if gps_vertical_sigma is None else gps_vertical_sigma
@@ -118,13 +121,29 @@ class DroneSenses:
             self._ego.heading_error, (0.0, 0.0, self._ego.height_error), tuple(self._gps_error.tolist())
         )
         self._range_finder_m = range_finder_m
+        self.position_lost = False
+        """Whether its receiver finds nothing now. May be changed while it runs."""
         self._position_from = -math.inf
+        if self._drone.takes_off_s > -math.inf:
+            # On the ground it has to find itself; who flies has done so.
+            self._position_from = epoch + self._ego.on_since + FINDS_ITSELF_S
         self._block: int | None = None
         self._noise = np.zeros((0, 4, 3))
 
     def rebooted(self, t: float) -> None:
-        """The autopilot began anew at t: it knows no position until it has found itself again."""
+        """The autopilot began anew at t: it knows no position until it has found itself again, and on the ground it has
+        to wake as well."""
         self._position_from = t + FINDS_ITSELF_S
+        if t - self._epoch < self._drone.takes_off_s:
+            self._ego.on_since = t - self._epoch
+
+    def is_located(self, t: float) -> bool:
+        """Whether the autopilot knows where it is."""
+        return t >= self._position_from and not self.position_lost
+
+    def is_ready(self, t: float) -> bool:
+        """Whether it knows itself well enough to arm."""
+        return self.is_located(t) and self._ego.is_awake(t - self._epoch)
 
     def at(self, t: float) -> SensedState:
         world_t = t - self._epoch
@@ -132,14 +151,15 @@ class DroneSenses:
         white = self._white(round(world_t * 1e3))
         gyro, accel = self._imu.measure(world_t, white[:2])
         position, attitude = self._ego.estimate(motion, world_t, white[2:])
-        located = t >= self._position_from
+        located = self.is_located(t)
+        walk, walking = self._ego.walk(world_t)
         return SensedState(
             gyro=gyro,
             accel=accel,
             q=np.array(_quaternion(attitude)),
             position=position if located else None,
-            velocity=motion.velocity,
-            gps=self._fix(motion.position) if located else None,
+            velocity=motion.velocity + walking,
+            gps=self._fix(motion.position + walk) if located else None,
             ground=self._below(-float(motion.position[2]), float(motion.attitude[2, 2])),
         )
 

@@ -63,6 +63,7 @@ from swarmtrack.lab.scenarios.scenario import (
     Sway,
     Swing,
     Weave,
+    Wind,
     announced_starts,
     drawn_skews,
     fly,
@@ -409,6 +410,7 @@ class ScenarioFile(Section):
     drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
         default=DRIFT_M, description="error with which a drone holds its position, RMS per axis, m"
     )
+    wind: Wind | None = None
     origin: TeamOrigin | None = Field(
         default=None, description="{ lat_deg, lon_deg, alt_m } of the world's origin on the Earth"
     )
@@ -425,6 +427,11 @@ class ScenarioFile(Section):
     drone: tuple[DroneSection, ...] = Field(default=(), max_length=2 * MAX_SCENARIO_DRONES)
     fault: tuple[ScenarioFault, ...] = ()
     expected: ParameterSection = ParameterSection()
+
+    @property
+    def sway_m(self) -> float:
+        """RMS per axis of a drone that holds its place, m."""
+        return self.drift_m if self.wind is None else max(self.drift_m, self.wind.gusts_m)
 
 
 def scenario_names() -> list[str]:
@@ -589,7 +596,7 @@ def _with_errands(
     if shape is None or shape.errand is None:
         return world, ()
     responses = {drone_id: autopilots[drone_id].response for drone_id in ids}
-    return run_errands(world, ids, shape.errand, file.drift_m, responses)
+    return run_errands(world, ids, shape.errand, file.sway_m, responses)
 
 
 def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> Scenario:
@@ -610,11 +617,13 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
             view=VIEW,
         )
     team = tuple(members)
-    world = fly(seed, dict(sorted(plans.items())), file.drift_m, codes_s=file.codes_s, team=team)
+    world = fly(seed, dict(sorted(plans.items())), file.sway_m, codes_s=file.codes_s, team=team)
     world, events = _with_errands(world, file, ids, autopilots)
     star = shape.star.star(ids) if shape is not None and shape.star is not None else None
     if star is not None:
-        world = fly_star(world, star, file.drift_m)
+        world = fly_star(world, star, file.sway_m)
+    if file.wind is not None:
+        world = file.wind.blows(world)
     strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
     starts_at = announced_starts(world, agents.position_sigma_m, agents.swapped)
 

@@ -36,7 +36,7 @@ from swarmtrack.lab.world.errands import Errand, Heights, fly_errands
 from swarmtrack.lab.world.followed import FollowedDrone
 from swarmtrack.lab.world.guided import GuidedDrone
 from swarmtrack.lab.world.response import ARDUPILOT_RESPONSE, PX4_RESPONSE, Response
-from swarmtrack.lab.world.sensors import DetectorParameters
+from swarmtrack.lab.world.sensors import ARDUPILOT_EGO, PX4_EGO, DetectorParameters, Ego, EgoParameters
 from swarmtrack.lab.world.star import Star, TeamSlots
 from swarmtrack.lab.world.trajectory import (
     Coded,
@@ -60,6 +60,8 @@ DEPARTURE_S = 5.0  # s: from hover into the flight proper
 SKEWS = (1e-4, 2e-4)  # s/s
 LOCKSTEP_SKEW = -0.011  # s/s, as measured: a simulator that cannot quite follow
 GHOST_BEARING_SIGMA_RAD = 0.15  # rad: from a drone to a ghost behind it, one sigma
+WIND_DRAG_PER_S = 1.7 / 6.0  # m/s² per m/s: against 6 m/s a drone leans by 10°, as measured
+GUSTS_M = 0.25
 DRIFT_M = 0.03  # m RMS an axis: how well a drone holds its position
 SCENARIO_ORIGIN = Geodetic.from_degrees(47.397742, 8.545594, 488.0)  # where PX4's simulators fly
 CAMERA = PinholeCamera(fx=430.0, fy=430.0, cx=319.5, cy=239.5, width=640, height=480)
@@ -78,11 +80,18 @@ class AutopilotKind(StrEnum):
         """How it flies what it is told."""
         return ARDUPILOT_RESPONSE if self is AutopilotKind.ARDUPILOT else PX4_RESPONSE
 
+    @property
+    def ego(self) -> EgoParameters:
+        """How it errs about its own pose."""
+        return ARDUPILOT_EGO if self is AutopilotKind.ARDUPILOT else PX4_EGO
+
 
 class FaultKind(StrEnum):
     CAMERA_STALL = "camera-stall"
     IMU_GAP = "imu-gap"
     AUTOPILOT_REBOOT = "autopilot-reboot"
+    POSITION_LOSS = "position-loss"  # no place is told; who is guided lands
+    LOW_BATTERY = "low-battery"  # who is guided returns to its start, and lands
     KILL = "kill"  # kill -9 of the agent, started again after `seconds`; 0: it stays dead
     PARTITION = "partition"  # `drones` hear each other, and so does everybody else; nobody hears across
     LOSS = "loss"
@@ -132,7 +141,7 @@ class ScenarioFault(Section):
     @field_validator("seconds")
     @classmethod
     def _lasting(cls, seconds: float, info: ValidationInfo) -> float:
-        momentary = (FaultKind.KILL, FaultKind.AUTOPILOT_REBOOT)
+        momentary = (FaultKind.KILL, FaultKind.AUTOPILOT_REBOOT, FaultKind.LOW_BATTERY)
         if seconds == 0.0 and "kind" in info.data and info.data["kind"] not in momentary:
             raise ValueError(f"{seconds:g}, expected how long the {info.data['kind']} lasts, more than 0 s")
         return seconds
@@ -174,6 +183,28 @@ class Radio(Section):
 
 
 PERFECT_RADIO = Radio()
+
+
+class Wind(Section):
+    """[wind]: steady, with gusts; drones lean into it. From any direction, by the seed."""
+
+    speed_m_s: Annotated[Number, Field(ge=0.0, le=12.0)] = Field(description="mean speed, m/s")
+    gusts_m: Annotated[Number, Field(ge=0.0, le=0.5)] = Field(
+        default=GUSTS_M, description="by which gusts move a drone from its place, RMS per axis, m"
+    )
+
+    def blows(self, world: World) -> World:
+        """The world in this wind: its drones lean."""
+        away = world.chance("wind").uniform(-math.pi, math.pi)
+        push = WIND_DRAG_PER_S * self.speed_m_s
+        against = (push * math.cos(away), push * math.sin(away), 0.0)
+        drones = dict(world.drones)
+        for drone_id, drone in drones.items():
+            if isinstance(drone, Trajectory):
+                drones[drone_id] = replace(drone, against_wind=against)
+            elif isinstance(drone, GuidedDrone):
+                drone.against_wind = against
+        return replace(world, drones=drones)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -267,10 +298,11 @@ class Scenario:
     origin: where the world's origin lies on the Earth, its height above mean sea level. seconds is its natural
     length. starts_s: when a drone's agent is started, in world time; 0: before the flight begins. utc_offset_s: how
     wrong its companion's wall clock is. autopilot_skew: how much faster than true time its autopilot's clock runs
-    (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0. camera_offset_s: by how much its
-    camera's stamps are late. Drones that a mapping leaves out start at 0, with right clocks and an ArduPilot that was
-    switched on at world time 0. All cameras of a drone stamp alike. announces: whether the drones tell each other
-    anything; where they do not, all know `announced` from a file, and codes_s is when all sway by their codes [s].
+    (5e-5: 50 ppm), and autopilot_boot_s what that clock shows at world time 0: one on the ground wakes from its boot
+    on, arms 40 s later, and its heading swings meanwhile. camera_offset_s: by how much its camera's stamps are late.
+    Drones that a mapping leaves out start at 0, with right clocks and an ArduPilot whose clock shows 0 then, and which
+    woke before. All cameras of a drone stamp alike. announces: whether the drones tell each other anything; where they
+    do not, all know `announced` from a file, and codes_s is when all sway by their codes [s].
     share_hz: how often they tell how they move; None: never. formation: who follows whom by sight; None: nobody.
     from_take_off: whether `seconds`, and the formation's times, count from when the first drone left the ground.
     ghosts are for detectors that are not shown pictures; the pictures have houses, poles and trees.
@@ -349,6 +381,11 @@ class Scenario:
     def autopilot(self, drone_id: int) -> AutopilotKind:
         """Whose manners the drone's autopilot has."""
         return self.autopilots.get(drone_id, AutopilotKind.ARDUPILOT)
+
+    def ego(self, drone_id: int) -> Ego:
+        """What the drone's autopilot believes of its pose. One whose boot the scenario does not tell woke long ago."""
+        on_since = -self.autopilot_boot_s.get(drone_id, math.inf)
+        return Ego(self.world, drone_id, self.autopilot(drone_id).ego, on_since=on_since)
 
     def extra_clutter(self, drone_id: int, t: float) -> float:
         """False detections to expect in a frame exposed at world time t, beyond the detector's own."""

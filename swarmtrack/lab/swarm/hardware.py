@@ -48,7 +48,12 @@ AUTOPILOT_PORTS = {"autopilot": 0, "ground": 1000, "truth": 2000}
 # m, horizontal and vertical, as their receivers say it.
 ARDUPILOT_GPS, PX4_GPS = (0.8, 1.2), (0.9, 1.78)
 LOITER_BEFORE_ENGAGING_S = 1.0  # in LOITER, before a follower is engaged
-AUTOPILOT_FAULTS = (FaultKind.IMU_GAP, FaultKind.AUTOPILOT_REBOOT)
+AUTOPILOT_FAULTS = (
+    FaultKind.IMU_GAP,
+    FaultKind.AUTOPILOT_REBOOT,
+    FaultKind.POSITION_LOSS,
+    FaultKind.LOW_BATTERY,
+)
 
 
 Cameras = dict[tuple[int, int], "CameraHardware"]
@@ -318,16 +323,32 @@ async def play(
     concerned = [a for drone_id, a in autopilots.items() if not fault.drones or drone_id in fault.drones]
     await asyncio.sleep(begin - clock.now())
     for autopilot in concerned:
-        if fault.kind is FaultKind.IMU_GAP:
-            autopilot.imu_gap = True
-        else:
-            autopilot.mute = True
+        begin_fault(fault.kind, autopilot, clock.now())
     await asyncio.sleep(end - clock.now())
     for autopilot in concerned:
-        if fault.kind is FaultKind.IMU_GAP:
+        end_fault(fault.kind, autopilot, clock.now())
+
+
+def begin_fault(kind: FaultKind, autopilot: SimulatedVehicle, now: float) -> None:
+    match kind:
+        case FaultKind.IMU_GAP:
+            autopilot.imu_gap = True
+        case FaultKind.POSITION_LOSS:
+            autopilot.senses.position_lost = True
+        case FaultKind.LOW_BATTERY:
+            autopilot.pilot.return_home(now)
+        case _:
+            autopilot.mute = True
+
+
+def end_fault(kind: FaultKind, autopilot: SimulatedVehicle, now: float) -> None:
+    match kind:
+        case FaultKind.IMU_GAP:
             autopilot.imu_gap = False
-        else:
-            autopilot.reboot(clock.now())
+        case FaultKind.POSITION_LOSS:
+            autopilot.senses.position_lost = False
+        case FaultKind.AUTOPILOT_REBOOT:
+            autopilot.reboot(now)
             autopilot.mute = False
 
 
@@ -343,6 +364,7 @@ def make_autopilot(scenario: Scenario, drone_id: int, epoch: float, now: float) 
         drone_id,
         epoch,
         imu=_imu(kind, scenario.imu_rate_hz),
+        ego=scenario.ego(drone_id),
         earth=scenario.origin,
         gps_sigma=ARDUPILOT_GPS[0] if ardupilot else PX4_GPS[0],
         gps_vertical_sigma=ARDUPILOT_GPS[1] if ardupilot else PX4_GPS[1],
@@ -354,7 +376,8 @@ def make_autopilot(scenario: Scenario, drone_id: int, epoch: float, now: float) 
             firmware,
             epoch=epoch,
             origin=scenario.origin,
-            located=lambda t: senses.at(t).gps is not None,
+            located=senses.is_located,
+            ready=senses.is_ready,
             errors=senses.lasting_errors,
         )
     make: Callable[..., SimulatedVehicle] = SimulatedArduPilot

@@ -32,6 +32,7 @@ from swarmtrack.motion.smooth import scaled, smooth_step
 GUIDED_REMEMBERED_S = 20.0  # s: frames, filters and truth ask for tenths of a second
 SWAYS_FROM_M = 1.0  # m above the ground: there it sways in full, on the ground not at all
 ON_THE_GROUND = 1e-6  # m
+REMEMBERED_WAY_M = 100.0  # of the first flight
 
 
 class GuidedDrone:
@@ -55,17 +56,28 @@ class GuidedDrone:
         """World time of its last touch-down."""
         self.heading_error: Callable[[float], float] = lambda t: 0.0
         self.against_wind: Triple = NO_MOTION
-        """m/s²: the thrust that a steady wind's drag takes. The drone leans into the wind by it."""
+        """m/s²: the thrust that a steady wind's drag takes in the air. The drone leans into the wind by it."""
         self._response = response
         self._sway = sway
         self._told = SetPoint(math.inf)
         self._states = [at_rest(-math.inf, start, yaw), at_rest(0.0, start, yaw)]
-        self._ground = 0.0 if hovers else start[2]
+        self.ground = 0.0 if hovers else start[2]
+        """m, NED."""
+        self._way_m = 0.0
+        self._metres: list[float] = []
+        """World time of each metre over ground since its first take-off."""
         self._lock = threading.Lock()
 
     @property
     def airborne(self) -> bool:
         return self.left_s > self.touched_s
+
+    def flown_from(self, way_m: float) -> float:
+        """See `OwnDrone`; to whole metres, `REMEMBERED_WAY_M` at most."""
+        if math.isinf(self.takes_off_s):
+            return self.takes_off_s
+        metres = math.ceil(way_m)
+        return self._metres[metres - 1] if len(self._metres) >= metres else math.inf
 
     def take_off(self, t: float, told: SetPoint) -> None:
         """At t leave the ground, towards a set point above it."""
@@ -100,7 +112,8 @@ class GuidedDrone:
     def position(self, t: float) -> Array:
         """(3,) m, NED."""
         state = self.state(t)
-        return np.asarray(self._swaying(state)[0] + state.position)
+        share = self._height_share(state)[0]
+        return np.asarray(share * self._sway.derivatives(state.t)[0] + state.position)
 
     def yaw(self, t: float) -> float:
         """Rad, from north, clockwise seen from above."""
@@ -109,29 +122,28 @@ class GuidedDrone:
     def motion(self, t: float) -> Motion:
         """Everything at once."""
         state = self.state(t)
-        sway = self._swaying(state)
+        grown = self._height_share(state)
+        sway = scaled(grown, self._sway.derivatives(state.t))
         position, velocity, acceleration = (
             np.add(now, extra)
             for now, extra in zip((state.position, state.velocity, state.acceleration), sway, strict=False)
         )
         # It tilts for its thrust and for its sway; what the drag takes needs no tilt.
-        thrust = np.add(state.thrust, self.against_wind)
-        attitude, rate = attitude_and_rate(
-            np.add(thrust, sway[2]), np.add(state.thrust_jerk, sway[3]), state.yaw, state.yaw_rate
-        )
+        lean = np.multiply.outer(grown[:2], self.against_wind)
+        thrust, jerk = np.add(state.thrust, lean[0]), np.add(state.thrust_jerk, lean[1])
+        attitude, rate = attitude_and_rate(thrust + sway[2], jerk + sway[3], state.yaw, state.yaw_rate)
         return Motion(position, velocity, attitude, rate, attitude.T @ (acceleration - GRAVITY))
 
-    def _swaying(self, state: FlownState) -> Array:
-        """The derivatives (4, 3) of its sway, which grows smoothly with the height."""
+    def _height_share(self, state: FlownState) -> Array:
+        """The share of sway and wind that it has, which grows smoothly with the height, and its derivatives (4,)."""
         heights = [
-            (self._ground - state.position[2]) / SWAYS_FROM_M,
+            (self.ground - state.position[2]) / SWAYS_FROM_M,
             *(-rate[2] / SWAYS_FROM_M for rate in (state.velocity, state.acceleration, state.jerk)),
         ]
         share, s1, s2, s3 = smooth_step(heights[0]).tolist()
         _, h1, h2, h3 = heights
         # Faà di Bruno: the share as a function of the time.
-        factor = (share, s1 * h1, s2 * h1**2 + s1 * h2, s3 * h1**3 + 3.0 * s2 * h1 * h2 + s1 * h3)
-        return scaled(np.array(factor), self._sway.derivatives(state.t))
+        return np.array((share, s1 * h1, s2 * h1**2 + s1 * h2, s3 * h1**3 + 3.0 * s2 * h1 * h2 + s1 * h3))
 
     def _newest_at(self, t: float) -> FlownState:
         """Fly on to t, unless it has been there; the newest state."""
@@ -145,16 +157,23 @@ class GuidedDrone:
                 off = self.heading_error(state.t)
                 state = self._above_ground(advance(state, self._told, self._response, off))
                 self._states.append(state)
+                self._measure_way(state)
         self._forget(state.t - GUIDED_REMEMBERED_S)
         return self._states[-1]
+
+    def _measure_way(self, state: FlownState) -> None:
+        if self._way_m < REMEMBERED_WAY_M:
+            self._way_m += RESPONSE_STEP_S * math.hypot(*state.velocity[:2])
+            if self._way_m >= len(self._metres) + 1:
+                self._metres.append(state.t)
 
     def _above_ground(self, state: FlownState) -> FlownState:
         """The same state, or that of a drone that has just touched the ground."""
         north, east, down = state.position
-        if down < self._ground - ON_THE_GROUND or state.velocity[2] <= 0.0:
+        if down < self.ground - ON_THE_GROUND or state.velocity[2] <= 0.0:
             return state
         self.touched_s = state.t
-        return at_rest(state.t, (north, east, self._ground), state.yaw)
+        return at_rest(state.t, (north, east, self.ground), state.yaw)
 
     def _forget(self, before: float) -> None:
         """Now and then, so that it costs nothing."""

@@ -18,9 +18,10 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.lab.world.airframe import Airframe
-from swarmtrack.lab.world.trajectory import Motion
+from swarmtrack.lab.world.trajectory import Motion, wander
 from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array, Detections, EgoPose, FlightState, ImuSample
+from swarmtrack.motion.smooth import smooth_step
 
 SENSOR_NOISE_BLOCK = (
     256  # samples whose noise is drawn at once: a generator costs as much as a hundred of its numbers
@@ -106,23 +107,46 @@ class EgoParameters:
 
     heading_error_deg: on the ground, from … to, either sign. Some seconds after take-off, from … to, the autopilot
     aligns itself in flight; from then on the error is at most aligned_error_deg. As ArduCopter's was measured.
-    height_error_m: from … to, either sign, as barometers and GPS have it.
+    swings_deg: of the heading to either side while it wakes, from … to. hover_heading_deg: instead of aligning after a
+    time, the heading drifts in hover to an error from … to, either sign, and aligns by flying; as PX4's was measured.
+    height_error_m: from … to, either sign, as barometers and GPS have it. walks_m: RMS per axis of a slow walk of the
+    position, from … to.
     """
 
     rate_hz: float = 50.0
     position_sigma: float = 0.02  # m
     attitude_sigma: float = 0.005  # rad
-    heading_error_deg: tuple[float, float] = (1.0, 3.0)
+    heading_error_deg: tuple[float, float] = (1.5, 3.0)
+    swings_deg: tuple[float, float] = (2.0, 4.0)
     aligned_error_deg: float = 1.0
     aligns_after_s: tuple[float, float] = (10.0, 25.0)
+    hover_heading_deg: tuple[float, float] | None = None
     height_error_m: tuple[float, float] = (0.05, 0.12)
+    walks_m: tuple[float, float] = (0.0, 0.0)
+
+
+ARDUPILOT_EGO = EgoParameters()
+PX4_EGO = EgoParameters(heading_error_deg=(0.0, 3.6), hover_heading_deg=(3.0, 9.0), walks_m=(0.05, 0.18))
+# s from being switched on until the heading stands, and a drone arms; and of its swing's period, from … to.
+WAKES_S, SWING_PERIOD_S = 40.0, (8.0, 20.0)
+# A heading is observed by flying: m since the take-off until it is. Then it takes s; and the drift in hover before, s.
+OBSERVED_M, ALIGNING_S, DRIFTS_S = 10.0, 5.0, 15.0
+WALK_BAND_HZ = (0.004, 0.05)  # slower than any flight of a drone, and than its sway
 
 
 class Ego:
-    """What one drone's autopilot believes of its pose."""
+    """What one drone's autopilot believes of its pose. on_since: world time at which it was switched on."""
 
-    def __init__(self, world: World, drone_id: int, parameters: EgoParameters | None = None) -> None:
+    def __init__(
+        self,
+        world: World,
+        drone_id: int,
+        parameters: EgoParameters | None = None,
+        *,
+        on_since: float = -math.inf,
+    ) -> None:
         self.parameters = p = parameters or EgoParameters()
+        self.on_since = on_since
         chance = world.chance("ego errors", drone_id)
         signs = chance.choice((-1.0, 1.0), 2)
         self._heading = math.radians(signs[0] * chance.uniform(*p.heading_error_deg))
@@ -130,15 +154,46 @@ class Ego:
         self._aligns_after_s = chance.uniform(*p.aligns_after_s)
         self.height_error: float = signs[1] * chance.uniform(*p.height_error_m)
         """m, down, as long as it flies."""
+        chance = world.chance("ego manners", drone_id)
+        self._swing = math.radians(chance.uniform(*p.swings_deg))
+        self._swing_rate = 2.0 * math.pi / chance.uniform(*SWING_PERIOD_S)
+        self._swing_phase = chance.uniform(0.0, 2.0 * math.pi)
+        self._hover_heading = math.radians(
+            chance.choice((-1.0, 1.0)) * chance.uniform(*(p.hover_heading_deg or (0.0, 0.0)))
+        )
+        walk_m = chance.uniform(*p.walks_m)
+        self._walk = wander(chance, walk_m, band_hz=WALK_BAND_HZ) if walk_m else None
         self._world = world
         self._drone = world.flown(drone_id)
         self._drone_id = drone_id
         self.origin = self._drone.position(0.0)
         """(3,) m: where its local frame begins, as without GPS: where it was at world time 0."""
 
+    def is_awake(self, t: float) -> bool:
+        """Whether it has been switched on for long enough to arm."""
+        return t >= self.on_since + WAKES_S
+
     def heading_error(self, t: float) -> float:
         """Rad, at world time t. Of a drone that was in the air before, small all the time."""
-        return self._aligned if t >= self._drone.takes_off_s + self._aligns_after_s else self._heading
+        since = t - self._drone.takes_off_s
+        if since < 0.0:
+            return self._heading + self._swinging(t - self.on_since)
+        if self.parameters.hover_heading_deg is None or math.isinf(since):
+            return self._aligned if since >= self._aligns_after_s else self._heading
+        drifted = self._heading + (self._hover_heading - self._heading) * -math.expm1(-since / DRIFTS_S)
+        share = float(smooth_step((t - self._drone.flown_from(OBSERVED_M)) / ALIGNING_S)[0])
+        return drifted + share * (self._aligned - drifted)
+
+    def _swinging(self, on_for: float) -> float:
+        """Rad, about the error on the ground, less and less until it is awake."""
+        if not on_for < WAKES_S:
+            return 0.0
+        calm = float(smooth_step(on_for / WAKES_S)[0])
+        return (1.0 - calm) * self._swing * math.sin(self._swing_rate * on_for + self._swing_phase)
+
+    def walk(self, t: float) -> Array:
+        """By how much its position is off besides, (3,) m, and how that changes, (3,) m/s."""
+        return np.zeros((2, 3)) if self._walk is None else self._walk.derivatives(t)[:2]
 
     def flight_state(self, t: float) -> FlightState:
         """Whether it flies at world time t, as heartbeats tell it."""
@@ -148,7 +203,7 @@ class Ego:
     def estimate(self, motion: Motion, t: float, white: Array) -> tuple[Array, Array]:
         """Position (3,) m in its local frame and world_from_body (3, 3) at t. white (2, 3): unit normal numbers."""
         p = self.parameters
-        position = motion.position - self.origin + p.position_sigma * white[0]
+        position = motion.position - self.origin + self.walk(t)[0] + p.position_sigma * white[0]
         position[2] += self.height_error
         turned = rotation.exp(np.array([0.0, 0.0, self.heading_error(t)])) @ motion.attitude
         return position, turned @ rotation.exp(p.attitude_sigma * white[1])

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -25,6 +26,11 @@ from swarmtrack.motion.smooth import DERIVATIVES, scaled, sinusoid, smooth_step
 from swarmtrack.motion.sway import sway
 
 GRAVITY = np.array([0.0, 0.0, STANDARD_GRAVITY_M_S2])  # m/s², NED: down is positive
+SWAY_BAND_HZ = (0.05, 1.0)
+# s: a way over ground is added up so far from the take-off, in such steps.
+WAY_SEARCHED_S, WAY_STEP_S = 300.0, 0.1
+WIND_AFTER_S = 3.0  # from take-off
+NO_LEAN = np.zeros((2, 3))
 FREE_FALL_THRUST = 0.5  # m/s²: below it the thrust has no direction, and flatness no attitude
 
 
@@ -60,11 +66,24 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trajectory:
-    """A path and a yaw profile: everything about one drone's motion. takes_off_s: −inf of one that was in the air."""
+    """A path and a yaw profile: everything about one drone's motion. takes_off_s: −inf of one that was in the air.
+    against_wind (3,) m/s²: the thrust that a steady wind's drag takes in the air."""
 
     path: Path
     yaw_profile: YawProfile
     takes_off_s: float = -math.inf
+    against_wind: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    def flown_from(self, way_m: float) -> float:
+        """See `OwnDrone`: of the first `WAY_SEARCHED_S`."""
+        return -math.inf if math.isinf(self.takes_off_s) else _flown_from(self, way_m)
+
+    def _lean(self, t: float) -> Array:
+        """The thrust against the wind and its derivative, (2, 3): after a take-off it grows."""
+        if not any(self.against_wind):
+            return NO_LEAN
+        share = smooth_step((t - self.takes_off_s) / WIND_AFTER_S)[:2] * (1.0, 1.0 / WIND_AFTER_S)
+        return np.multiply.outer(share, self.against_wind)
 
     def position(self, t: float) -> Array:
         """(3,) m, NED."""
@@ -94,7 +113,7 @@ class Trajectory:
         """world_from_body."""
         flat = self.path.derivatives(t)
         yaw, _ = self.yaw_profile.yaw(t, flat)
-        return Pose(_flat_attitude(flat[2], yaw).attitude, flat[0])
+        return Pose(_flat_attitude(flat[2] + self._lean(t)[0], yaw).attitude, flat[0])
 
     def body_rate(self, t: float) -> Array:
         """Angular velocity against the world, (3,) rad/s in body axes: what a perfect gyro reads."""
@@ -113,8 +132,21 @@ class Trajectory:
         """Everything at once, for the price of one."""
         flat = self.path.derivatives(t)
         yaw, yaw_rate = self.yaw_profile.yaw(t, flat)
-        attitude, rate = attitude_and_rate(flat[2], flat[3], yaw, yaw_rate)
+        lean = self._lean(t)
+        attitude, rate = attitude_and_rate(flat[2] + lean[0], flat[3] + lean[1], yaw, yaw_rate)
         return Motion(flat[0], flat[1], attitude, rate, attitude.T @ (flat[2] - GRAVITY))
+
+
+@lru_cache(maxsize=256)
+def _flown_from(flight: Trajectory, way_m: float) -> float:
+    flown, here = 0.0, flight.position(flight.takes_off_s)
+    for k in range(1, round(WAY_SEARCHED_S / WAY_STEP_S)):
+        t = flight.takes_off_s + WAY_STEP_S * k
+        before, here = here, flight.position(t)
+        flown += math.hypot(*(here - before)[:2].tolist())
+        if flown >= way_m:
+            return t
+    return math.inf
 
 
 def attitude_and_rate(acceleration: Array, jerk: Array, yaw: float, yaw_rate: float) -> tuple[Array, Array]:
@@ -226,13 +258,19 @@ class Wander:
         return np.asarray(sinusoid(self.amplitudes, omega, omega * t + self.phases).sum(axis=1))
 
 
-def wander(rng: np.random.Generator, amplitude: float = 0.03, terms: int = 6) -> Wander:
+def wander(
+    rng: np.random.Generator,
+    amplitude: float = 0.03,
+    terms: int = 6,
+    *,
+    band_hz: tuple[float, float] = SWAY_BAND_HZ,
+) -> Wander:
     """A `Wander` with RMS `amplitude` [m] an axis, from slow gusts to the trembling of the controller.
 
-    One sinusoid in each of the equal bands (by logarithm) that make up 0.05 to 1 Hz. Its variance falls with the square
-    of the frequency: a multirotor tilts by a degree or so for all of them, and does not shake.
+    One sinusoid in each of the equal bands (by logarithm) that make up band_hz. Its variance falls with the square of
+    the frequency: a multirotor tilts by a degree or so for all of them, and does not shake.
     """
-    slowest, fastest = 0.05, 1.0  # Hz
+    slowest, fastest = band_hz
     band = (np.arange(terms)[:, None] + rng.uniform(0.0, 1.0, (terms, 3))) / terms
     frequencies = slowest * (fastest / slowest) ** band
     share = rng.exponential(size=(terms, 3)) / frequencies**2

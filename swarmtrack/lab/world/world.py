@@ -42,6 +42,11 @@ class OwnDrone(Drawn, Protocol):
         """World time, s; −inf of a drone that was in the air before, inf of one that stays on the ground."""
         ...
 
+    def flown_from(self, way_m: float) -> float:
+        """World time from which on it has flown so far over ground since its take-off, s; −inf of a drone that was in
+        the air before, inf before it is known."""
+        ...
+
     def yaw(self, t: float) -> float:
         """Rad, from north, clockwise seen from above."""
         ...

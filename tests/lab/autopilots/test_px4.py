@@ -13,13 +13,14 @@ from pymavlink.dialects.v20 import ardupilotmega
 from support.ground_station import Bench
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.geodesy import Geodetic, to_ned
-from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4_FIRMWARE
+from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, PX4_FIRMWARE, FlightMode
 from swarmtrack.lab.autopilots.pilot import GuidedPilot
 from swarmtrack.lab.autopilots.px4 import SimulatedPx4
 from swarmtrack.lab.autopilots.senses import NO_ERRORS, DroneSenses
 from swarmtrack.lab.autopilots.truth import DroneTruth
 from swarmtrack.lab.scenarios.files import load_scenario
-from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
+from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN, FaultKind
+from swarmtrack.lab.swarm.hardware import begin_fault
 from swarmtrack.lab.world.guided import GuidedDrone
 from swarmtrack.lab.world.response import SetPoint, advance, at_rest
 from swarmtrack.lab.world.trajectory import Hover, attitude_and_rate
@@ -28,7 +29,7 @@ from swarmtrack.messages import Array
 
 ACCEPTED, REJECTED = ardupilotmega.MAV_RESULT_ACCEPTED, ardupilotmega.MAV_RESULT_TEMPORARILY_REJECTED
 IMU = ardupilotmega.MAVLINK_MSG_ID_HIGHRES_IMU
-OFFBOARD, AUTO, TAKEOFF, HOLD, LANDING = 6, 4, 2, 3, 6
+OFFBOARD, AUTO, TAKEOFF, HOLD, RETURNING, LANDING = 6, 4, 2, 3, 5, 6
 
 
 def hovering(**options) -> Bench:
@@ -269,6 +270,16 @@ def test_it_rolls_and_turns_three_times_as_fast_as_an_arducopter():
         peaks.append(np.abs(rates).max(axis=0)[[0, 2]])
     assert peaks[0] == pytest.approx([4.2, 2.7], rel=0.05)
     assert (peaks[0] > 2.0 * peaks[1]).all()
+
+
+def test_a_failsafe_changes_the_mode_and_not_the_intention():
+    bench = Px4Bench()
+    bench.climb()
+    begin_fault(FaultKind.LOW_BATTERY, bench.autopilot, bench.now)
+    bench.keep_telling(2.0, velocity=(0.0, 0.0, 0.0))
+    assert bench.told_mode == (AUTO, RETURNING)
+    assert bench.pilot.intended == PX4_FIRMWARE.modes[FlightMode.GUIDED]
+    assert bench.drone.state(bench.now).velocity[2] < -0.5
 
 
 def test_it_does_not_know_arducopters_command_to_turn():

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from support.places import ROOT, writer
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import ConfigError
+from swarmtrack.geometry import rotation
 from swarmtrack.lab.scenarios import files
 from swarmtrack.lab.scenarios.files import load_scenario, scenario_names
 from swarmtrack.lab.scenarios.scenario import FaultKind, Radio, Scenario, best_view
@@ -32,14 +33,24 @@ ASKED = [
     "late-joiner",
     "lossy-radio",
 ]
-ASKED += ["all-round", "mixed", "occlusion", "proof", "silent", "thirty", "two-cameras", "yawing-observer"]
-STARS = ["formation-3", "formation-5", "formation-8", "intruder-crosses", "leader-lost", "swapped-id"]
+ASKED += [
+    "all-round",
+    "mixed",
+    "occlusion",
+    "power-on",
+    "proof",
+    "silent",
+    "thirty",
+    "two-cameras",
+    "yawing-observer",
+]
+STARS = ["formation-3", "formation-5", "formation-8", "intruder-crosses", "leader-lost", "swapped-id", "wind"]
 ASKED = sorted([*ASKED, *STARS])
 FIXED = "yawing-observer"  # its three drones are described one by one
 ALSO_FIXED = ("two-cameras", "fisheye")
 COMMANDED = "guided"  # its drones fly where somebody sends them
-ON_THE_GROUND = "errand"  # at first
-FREE = [name for name in ASKED if name not in (FIXED, *ALSO_FIXED, COMMANDED, ON_THE_GROUND, *STARS)]
+ON_THE_GROUND = ("errand", "power-on")  # at first
+FREE = [name for name in ASKED if name not in (FIXED, *ALSO_FIXED, COMMANDED, *ON_THE_GROUND, *STARS)]
 PLANNED = [name for name in ASKED if name not in (COMMANDED, *STARS)]
 SIZES = [2, 3, 4, 5, 7, 8, 13, 16, 29, 30]
 RING = "about = 'x'\nseconds = 9\n[formation]\ndrones = 3\nring = { radius_m = 3.0 }\n"
@@ -128,9 +139,10 @@ def test_everybody_hovers_at_first_and_at_every_time_before(name):
 @pytest.mark.parametrize("name", PLANNED)
 def test_a_seed_decides_every_movement_and_another_seed_flies_otherwise(name):
     one, same, other = (load_scenario(name, seed=seed).world for seed in (3, 3, 4))
+    t = 0.8 * load_scenario(name).seconds
     for drone_id in one.drones:
-        np.testing.assert_array_equal(one.pose(drone_id, 18.0).position, same.pose(drone_id, 18.0).position)
-        assert not np.array_equal(one.pose(drone_id, 18.0).position, other.pose(drone_id, 18.0).position)
+        np.testing.assert_array_equal(one.pose(drone_id, t).position, same.pose(drone_id, t).position)
+        assert not np.array_equal(one.pose(drone_id, t).position, other.pose(drone_id, t).position)
 
 
 @pytest.mark.parametrize("name", ASKED)
@@ -201,6 +213,53 @@ def test_the_late_joiner_hovers_in_view_until_its_agent_has_had_time_to_start():
     late = scenario.world.drones[4]
     assert np.linalg.norm(late.position(12.0) - late.position(0.0)) < 0.4
     assert all(4 in seen_by(scenario, member, 6.0) for member in (1, 2, 3))
+
+
+def tilted(scenario: Scenario, drone_id: int, t: float) -> float:
+    """Degrees."""
+    return math.degrees(math.acos(scenario.world.pose(drone_id, t).rotation[2, 2]))
+
+
+@pytest.mark.parametrize("text", [(files.FOLDER / "formation-3.toml").read_text(encoding="utf-8"), RING])
+def test_in_wind_everybody_leans_one_way_and_sways(write, text):
+    calm, windy = load_scenario(write(text)), load_scenario(write(text + "[wind]\nspeed_m_s = 6.0\n"))
+    ways = set()
+    for drone_id in calm.members:
+        times = np.arange(0.0, 4.0, 0.25)
+        assert np.mean([tilted(calm, drone_id, t) for t in times]) < 2.0
+        assert np.mean([tilted(windy, drone_id, t) for t in times]) == pytest.approx(10.0, abs=2.0)
+        down = np.mean([windy.world.pose(drone_id, t).rotation[:, 2] for t in times], axis=0)
+        ways.add(round(math.degrees(math.atan2(down[1], down[0])) / 15.0))
+        # The gyro fits the attitude, whatever it leans for.
+        t, step = 2.0, 1e-4
+        turned = windy.world.pose(drone_id, t).rotation.T @ windy.world.pose(drone_id, t + step).rotation
+        np.testing.assert_allclose(rotation.log(turned) / step, windy.world.body_rate(drone_id, t), atol=2e-3)
+    assert max(ways) - min(ways) <= 1
+    sway = np.array([windy.world.pose(2, t).position for t in np.arange(-120.0, 0.0, 0.5)]).std(axis=0)
+    if "star" not in text:
+        assert sway.mean() == pytest.approx(0.25, rel=0.4)
+
+
+def test_who_takes_off_in_wind_leans_once_it_is_in_the_air(write):
+    text = (files.FOLDER / "errand.toml").read_text(encoding="utf-8") + "[wind]\nspeed_m_s = 6.0\n"
+    windy = load_scenario(write(text))
+    takes_off = windy.world.flown(1).takes_off_s
+    assert tilted(windy, 1, takes_off - 0.1) == pytest.approx(0.0, abs=0.01)
+    assert np.mean([tilted(windy, 1, takes_off + s) for s in np.arange(4.0, 9.0, 0.5)]) > 7.0
+
+
+def test_those_that_are_switched_on_stand_for_more_than_the_forty_seconds_that_they_need():
+    scenario = load_scenario("power-on")
+    for drone_id in scenario.members:
+        ego, takes_off = scenario.ego(drone_id), scenario.world.flown(drone_id).takes_off_s
+        assert not ego.is_awake(39.0)
+        assert ego.is_awake(41.0)
+        assert takes_off > 60.0
+        swings = [
+            ego.heading_error(t) - ego.heading_error(takes_off - 1.0) for t in np.arange(0.0, 40.0, 0.5)
+        ]
+        assert np.ptp(np.rad2deg(swings)) > 1.5
+    assert {scenario.autopilot(drone_id) for drone_id in scenario.members} == {"ardupilot", "px4"}
 
 
 @pytest.mark.parametrize("drones", [2, 4, pytest.param(8, marks=pytest.mark.long("a larger team, of eight"))])

@@ -15,9 +15,10 @@ from swarmtrack.geometry import rotation
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot
 from swarmtrack.lab.autopilots.firmware import ARDUCOPTER
 from swarmtrack.lab.autopilots.pilot import PHASE_TRANSITIONS, GuidedPilot, Phase, PilotEvent
-from swarmtrack.lab.autopilots.senses import NO_ERRORS, DroneSenses, LastingErrors
+from swarmtrack.lab.autopilots.senses import FINDS_ITSELF_S, NO_ERRORS, DroneSenses, LastingErrors
 from swarmtrack.lab.autopilots.truth import DroneTruth
-from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN
+from swarmtrack.lab.scenarios.scenario import SCENARIO_ORIGIN, FaultKind
+from swarmtrack.lab.swarm.hardware import begin_fault, end_fault
 from swarmtrack.lab.world.guided import GuidedDrone
 from swarmtrack.lab.world.response import Triple
 from swarmtrack.lab.world.trajectory import Hover, Path, wander
@@ -25,7 +26,7 @@ from swarmtrack.lab.world.world import World
 from swarmtrack.messages import Array
 
 ACCEPTED, FAILED = ardupilotmega.MAV_RESULT_ACCEPTED, ardupilotmega.MAV_RESULT_FAILED
-STABILIZE, GUIDED, LOITER, LAND, BRAKE = 0, 4, 5, 9, 17
+STABILIZE, GUIDED, LOITER, RTL, LAND, BRAKE = 0, 4, 5, 6, 9, 17
 START, YAW = (4.0, -2.0, 0.0), 0.3
 STILL_AIR = Hover((0.0, 0.0, 0.0))
 
@@ -53,7 +54,7 @@ class GuidedBench(Bench):
             ARDUCOPTER,
             epoch=0.0,
             origin=SCENARIO_ORIGIN,
-            located=lambda t: t >= fix_at,
+            located=lambda t: t >= fix_at and senses.is_located(t),
             errors=self.errors,
         )
         autopilot = SimulatedArduPilot(
@@ -367,6 +368,53 @@ def test_it_lands_where_it_is_stands_still_there_and_can_fly_again():
     assert bench.local()[2] == pytest.approx(-3.0, abs=0.05)
 
 
+def test_a_battery_that_fails_takes_it_up_home_and_down_whoever_steers_until_its_pilot_takes_it():
+    bench = GuidedBench()
+    bench.climb()
+    bench.set_point(position=(6.0, 3.0, -5.0))
+    bench.run(8.0)
+    begin_fault(FaultKind.LOW_BATTERY, bench.autopilot, bench.now)
+    heights = []
+    while bench.pilot.armed:
+        # An agent that goes on is not obeyed.
+        bench.keep_telling(0.5, velocity=(2.0, 0.0, 0.0))
+        assert bench.pilot.mode.custom == RTL
+        heights.append(-bench.local()[2])
+    assert any("Battery" in text for text in bench.texts)
+    assert max(heights) == pytest.approx(15.0, abs=0.6)
+    np.testing.assert_allclose(bench.local(), 0.0, atol=0.6)
+    assert bench.arm() == FAILED
+    bench.climb()
+    begin_fault(FaultKind.LOW_BATTERY, bench.autopilot, bench.now)
+    bench.run(3.0)
+    assert bench.mode(LOITER) == ACCEPTED
+    bench.run(4.0)
+    here = bench.local()
+    bench.run(2.0)
+    np.testing.assert_allclose(bench.local(), here, atol=0.05)
+
+
+def test_without_a_position_none_is_told_and_it_lands_where_it_is():
+    bench = GuidedBench()
+    bench.climb()
+    bench.ground.ask(ardupilotmega.MAVLINK_MSG_ID_LOCAL_POSITION_NED, 10.0, bench.now)
+    bench.ground.ask(ardupilotmega.MAVLINK_MSG_ID_ATTITUDE_QUATERNION, 10.0, bench.now)
+    bench.run(1.0)
+    begin_fault(FaultKind.POSITION_LOSS, bench.autopilot, bench.now)
+    bench.ground.heard.clear()
+    bench.run(0.9)
+    assert bench.pilot.mode.custom == GUIDED
+    bench.run(3.0)
+    assert bench.pilot.mode.custom == LAND
+    assert bench.ground.of("LOCAL_POSITION_NED") == []
+    assert len(bench.ground.of("ATTITUDE_QUATERNION")) == pytest.approx(39, abs=2)
+    assert bench.mode(GUIDED) == FAILED
+    end_fault(FaultKind.POSITION_LOSS, bench.autopilot, bench.now)
+    bench.run(1.0)
+    assert len(bench.ground.of("LOCAL_POSITION_NED")) == pytest.approx(10, abs=2)
+    assert bench.mode(GUIDED) == ACCEPTED
+
+
 def test_its_past_stays_as_it_was_seen():
     """A frame is drawn after its exposure, and a judge looks back: both must see what the sensors saw."""
     bench = GuidedBench(sway=wander(np.random.default_rng(2)))
@@ -440,6 +488,7 @@ def test_it_reboots_on_command_on_the_ground_and_not_in_the_air():
     bench.run(1.0)
     assert bench.autopilot.stamp(bench.now) == pytest.approx(0.5, abs=0.1)
     bench.both_say_hello()
+    bench.run(FINDS_ITSELF_S)
     bench.climb()
     assert bench.order(reboot, 1.0) == ardupilotmega.MAV_RESULT_DENIED
 
