@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.formation.faults import Failure, Fault
+from swarmtrack.benchmarks.formation.faults import GOING_DOWN, Failure, Fault
 from swarmtrack.benchmarks.formation.flights import (
     COMMAND_HZ,
     DEPARTS_S,
@@ -65,6 +65,7 @@ FAULTS = (
     ("gps-glitch", Failure(fault=Fault.GLITCH, victim=VICTIM, ends_s=34.0)),
     ("leaders-gps-glitch", Failure(fault=Fault.GLITCH, victim=LEADER, ends_s=34.0)),
     ("failsafe-rtl", Failure(fault=Fault.RETURNS, victim=VICTIM)),
+    ("failsafe-land", Failure(fault=Fault.LANDS, victim=VICTIM)),
     ("drift-height-0.1", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.1)),
     ("drift-height-0.3", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.3)),
     ("not-obeyed", Failure(fault=Fault.PUSHED, victim=VICTIM, speed_m_s=1.0)),
@@ -173,9 +174,10 @@ def fly(name: str, seed: int) -> FlownFormation:
 
 
 def _returning(plan: FlightPlan) -> int | None:
-    """Of the followers, from 0, the one that a failsafe takes home: it keeps no slot, and comes near to others."""
+    """Of the followers, from 0, the one that a failsafe takes home or down: it keeps no slot, and comes near to
+    others."""
     failure = plan.failure
-    return failure.victim - LEADER - 1 if failure is not None and failure.fault is Fault.RETURNS else None
+    return failure.victim - LEADER - 1 if failure is not None and failure.fault in GOING_DOWN else None
 
 
 def _of_those_that_follow(plan: FlightPlan, slots: SlotErrors) -> SlotErrors:

@@ -43,6 +43,8 @@ CLOCK_OFF_S, GLITCH_M = 7200.0, 10.0
 GLITCH_RESISTED_S = 10.0
 # m above the team frame's origin, at which a drone returns; and so near to its start it is back.
 RETURN_HEIGHT_M, RETURNED_M = 15.0, 0.5
+# m below itself to which a drone goes that lands: at half a metre per second.
+LANDS_M = 0.5
 # s on the way, from … to.
 ON_THE_WAY_S = (0.005, 0.06)
 
@@ -56,8 +58,12 @@ class Fault(enum.Enum):
     CLOCK = "its wall clock is two hours off, from the beginning"
     GLITCH = "its receiver's position leaps by ten metres, and back"
     RETURNS = "its autopilot returns to the start by a failsafe, and its pilot lets it"
+    LANDS = "its autopilot has no position, tells none, and lands where it is"
     HEIGHT_DRIFT = "its autopilot believes that it climbs, and flies by that"
     PUSHED = "it flies otherwise than its autopilot is told, level"
+
+
+GOING_DOWN = (Fault.RETURNS, Fault.LANDS)
 
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,7 +155,7 @@ class FailingSwarm(VirtualSwarm):
     def engagement_of(self, drone_id: int, engaged_s: float, now: float) -> int:
         """How often its pilot has engaged it by now; 0: it is not."""
         failure = self.failure
-        if self._is(Fault.RETURNS, now, drone_id):
+        if self.goes_down(drone_id, now):
             return 0
         if failure is None or failure.fault is not Fault.REBOOT or failure.victim != drone_id:
             return int(now >= engaged_s)
@@ -157,13 +163,20 @@ class FailingSwarm(VirtualSwarm):
             return int(now >= engaged_s)
         return 2 * int(now >= failure.begins_s + BOOTS_S + PILOT_WAITS_S)
 
+    def goes_down(self, drone_id: int, now: float) -> bool:
+        """Whether a failsafe has the drone."""
+        return any(self._is(fault, now, drone_id) for fault in GOING_DOWN)
+
     def way_home(self, drone_id: int, now: float) -> Triple | None:
-        """Where a failsafe steers a drone now [m], NED: up, to above its start, and down. None: it does not."""
-        if not self._is(Fault.RETURNS, now, drone_id):
+        """Where a failsafe steers a drone now [m], NED: up, to above its start, and down; or down where it is. None: it
+        does not."""
+        if not self.goes_down(drone_id, now):
             return None
         drone = self.scenario.world.drones[drone_id]
         assert isinstance(drone, GuidedDrone)
         north, east, down = drone.position(now).tolist()
+        if self._is(Fault.LANDS, now, drone_id):
+            return north, east, down + LANDS_M
         start_north, start_east, _ = drone.start
         self._is_high = self._is_high or -down > RETURN_HEIGHT_M - RETURNED_M
         if not self._is_high:
@@ -191,6 +204,8 @@ class FailingSwarm(VirtualSwarm):
         drift = self.height_drift(drone_id, pose.t)
         if drift and pose.position is not None:
             pose = dataclasses.replace(pose, position=pose.position - (0.0, 0.0, drift))
+        if self._is(Fault.LANDS, pose.t, drone_id):
+            return dataclasses.replace(pose, position=None)
         failure = self.failure
         if failure is None or failure.fault is not Fault.GLITCH or failure.victim != drone_id:
             return pose

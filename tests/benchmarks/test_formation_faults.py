@@ -189,3 +189,20 @@ def test_a_failsafe_takes_a_follower_up_and_home_and_it_is_engaged_no_more():
     assert max(heights) == pytest.approx(RETURN_HEIGHT_M, abs=1.0)
     assert heights[-1] == pytest.approx(0.0, abs=0.1)
     assert {sample.whys[0] for sample in samples if sample.t > 5.2} == {Why.NOT_ENGAGED}
+
+
+def test_who_has_no_position_tells_none_and_lands_where_it_is():
+    flight = Told(Fault.LANDS, 2, ends_s=22.0, lasts_s=100.0)
+    flight.run()
+    poses = [event for _, event in flight.heard[2] if isinstance(event, EgoPose)]
+    assert {pose.position is None for pose in poses if pose.t >= 5.0} == {True}
+    assert {pose.position is None for pose in poses if pose.t < 5.0} == {False}
+    drone = flight.scenario.world.flown(2)
+    before, after = drone.position(5.0), drone.position(21.0)
+    assert np.linalg.norm((after - before)[:2]) < 1.5
+    # Down by half a metre per second.
+    assert after[2] == pytest.approx(min(before[2] + 0.5 * 16.0, 0.0), abs=1.5)
+    assert {sample.whys[0] for sample in flight.samples if sample.t > 6.0} == {Why.NOT_ENGAGED}
+    assert flight.times(1, MotionReport).max() < 6.0, (
+        "who does not know where it is does not say how it moves"
+    )
