@@ -172,6 +172,24 @@ def test_the_recording_is_judged_as_the_flight_was(flown, capsys):
     assert "the verdict is the recorded one" in said.out, said.out + said.err
 
 
+@pytest.mark.long("two flights of 15 s each; the default run flies a mixed pair behind --world")
+@pytest.mark.parametrize("autopilots", [("px4", "px4"), ("ardupilot", "px4")])
+def test_the_verdict_is_that_of_the_same_flight_in_our_own_simulation(tmp_path, autopilots):
+    drones = f"drones = {len(autopilots)}\nautopilots = {json.dumps(autopilots)}"
+    scenario = PAIR.replace("drones = 2", drones)
+    with others(tmp_path, scenario, seconds=15.0) as flying:
+        code, said, _ = fly(tmp_path, flying.world, "--seed", "1", "--json", str(tmp_path / "world.json"))
+    options = ("--scenario", str(tmp_path / "flown.toml"), "--detector", "oracle", "--seconds", "15")
+    process = start(tmp_path, *options, "--seed", "1", "--json", str(tmp_path / "sim.json"))
+    own_code, own_said, _ = finish(process)
+    assert is_fair(code, said), said
+    assert is_fair(own_code, own_said), own_said
+    verdicts = [json.loads((tmp_path / name).read_text()) for name in ("world.json", "sim.json")]
+    assert [verdict["identity"]["wrong"] for verdict in verdicts] == [0.0, 0.0]
+    if all(verdict["machine_busy"] <= BUSY for verdict in verdicts):
+        assert code == own_code
+
+
 # --- an agent dies --------------------------------------------------------------------------------
 
 

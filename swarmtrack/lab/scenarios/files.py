@@ -96,6 +96,7 @@ MAX_CAMERAS = 8  # of a drone
 CLIMBS_S = 8.0  # s from a take-off to the height of a slot
 FASTEST_LEADER_M_S = 5.0
 FENCE_M = 200.0  # around where a follower was engaged: wider than any scenario, it is not what is shown
+WALKING_SIGMA_M = 0.3  # m: what docs/rehearse.md lets a PX4 state
 LEAST_STAR_HEIGHT_M = 2.0  # as an agent's config has it: nobody's slot is lower
 VIEW_MARGIN = math.radians(4.0)  # at each side of the image, for drift and sway
 VIEW = 2.0 * (math.atan(0.5 * CAMERA.width / CAMERA.fx) - VIEW_MARGIN)
@@ -626,6 +627,12 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
         world = file.wind.blows(world)
     strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
     starts_at = announced_starts(world, agents.position_sigma_m, agents.swapped)
+    # As the manual has it for those whose position walks.
+    starts_at |= {
+        drone_id: dataclasses.replace(start, position_sigma_m=max(start.position_sigma_m, WALKING_SIGMA_M))
+        for drone_id, start in starts_at.items()
+        if drone_id in autopilots and autopilots[drone_id].ego.walks_m[1] > 0.0
+    }
 
     def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
         return dict(zip(members, itertools.cycle([factor * value for value in values]), strict=False))
