@@ -430,15 +430,16 @@ class MonitoredTeam:
         return self._agreement(drones)
 
     def _not_flown(self) -> list[str]:
-        """A formation that is configured and that no follower flies: that is the news."""
+        """Followers that are configured to fly in formation and do not: that is the news."""
         followers = {
             drone_id: state
             for drone_id, drone in sorted(self._drones.items())
             if drone.gone_since is None and (state := _formation_state(drone.health))
         }
-        if not followers or any(state["engaged"] for state in followers.values()):
-            return []
-        words = {state["text"]: drone_id for drone_id, state in reversed(followers.items())}
+        away = {drone_id: state["text"] for drone_id, state in followers.items() if not state["engaged"]}
+        if len(away) < len(followers):
+            return [f"drone {drone_id} is not in formation: it {text}" for drone_id, text in away.items()]
+        words = {text: drone_id for drone_id, text in reversed(away.items())}
         return [f"formation not flown: drone {drone_id} {text}" for text, drone_id in reversed(words.items())]
 
     def _agreement(self, drones: str) -> tuple[str, str, list[str]]:

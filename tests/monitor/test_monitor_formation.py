@@ -28,13 +28,17 @@ def told(link: LinkStatus) -> dict:
     return drone
 
 
-def state(link: LinkStatus) -> dict:
+def state(*links: LinkStatus) -> dict:
+    """Of drones 2, 3 and so on, one per link."""
     team = MonitoredTeam("red", ManualClock())
-    message = HealthMessage(
-        version=1, t_utc_s=1.7e9, boot="0123abcd", uptime_s=60.0, cpu_percent=5.0, rss_mb=96.0, rates={}, latencies={},
-        clock_offset_s=None, clock_offset_sigma_s=None, links=(link_health(link),), drops={}, events=(),
-    )  # fmt: skip
-    team.on_sample(Sample(keys.key("red", Kind.HEALTH, 2), codec.encode(message), alive=True, arrived=0.0))
+    for drone_id, link in enumerate(links, start=2):
+        message = HealthMessage(
+            version=1, t_utc_s=1.7e9, boot=f"0123abc{drone_id}", uptime_s=60.0, cpu_percent=5.0, rss_mb=96.0, rates={},
+            latencies={}, clock_offset_s=None, clock_offset_sigma_s=None, links=(link_health(link),), drops={},
+            events=(),
+        )  # fmt: skip
+        key = keys.key("red", Kind.HEALTH, drone_id)
+        team.on_sample(Sample(key, codec.encode(message), alive=True, arrived=0.0))
     return team.state()
 
 
@@ -43,6 +47,8 @@ def test_a_formation_that_nobody_flies_is_the_headline():
     light = state(waits)["light"]
     assert (light["kind"], light["text"]) == ("warn", "formation not flown: drone 2 waits for its pilot")
     assert "formation" not in state(FLIES)["light"]["text"]
+    light = state(FLIES, waits)["light"]
+    assert (light["kind"], light["text"]) == ("warn", "drone 3 is not in formation: it waits for its pilot")
 
 
 def test_a_follower_tells_its_slot_and_how_far_off_it_is():
