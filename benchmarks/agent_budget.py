@@ -100,9 +100,11 @@ def detector_lines(repeats: int) -> list[Figure]:
 
 
 class Measured(NamedTuple):
-    """One agent's cost: CPU in % of a core, RSS in 10⁶ bytes, latency (median, p95) from exposure to arrival."""
+    """One agent's cost: CPU in % of a core, with a listener and without; RSS in 10⁶ bytes; latency (median, p95) from
+    exposure to arrival."""
 
     cpu_percent: float
+    unheard_cpu_percent: float
     rss_mb: float
     latency_ms: tuple[float, float]
     health: HealthMessage
@@ -119,6 +121,7 @@ def agent_lines(tracker: str, seconds: float) -> list[Figure]:
     return [
         Figure(f"{who} gyro samples reaching Onboard", measured.health.rates["imu"].got_hz, "Hz"),
         Figure(f"{who} CPU", measured.cpu_percent, "% of a core", 6.0),
+        Figure(f"{who} CPU while nobody listens", measured.unheard_cpu_percent, "% of a core"),
         Figure(f"{who} memory, the idle model included", measured.rss_mb, "MB", 150.0),
         Figure(f"{heard}, median", p50, "ms"),
         Figure(f"{heard}, p95", p95, "ms", 10.0),
@@ -155,13 +158,21 @@ async def _measure_agent(tracker: str, seconds: float, options: list[str]) -> Me
         process, heard = agent.process, agent.heard
         await asyncio.sleep(SETTLE_S)
         heard.latencies.clear()
-        began, used = time.monotonic(), cpu_seconds(process.pid)
-        await asyncio.sleep(seconds)
-        cpu_percent = 100.0 * (cpu_seconds(process.pid) - used) / (time.monotonic() - began)
+        cpu_percent = await _cpu_percent(process.pid, seconds)
         if heard.health is None or len(heard.latencies) < 2:
             raise BenchmarkError("agent: no health or no tracks arrived, expected both on Zenoh")
         p50, p95 = (1e3 * float(latency) for latency in np.percentile(heard.latencies, [50, 95]))
-        return Measured(cpu_percent, rss_mb(process.pid), (p50, p95), heard.health)
+        await agent.stop_listening()
+        await asyncio.sleep(SETTLE_S)
+        unheard = await _cpu_percent(process.pid, seconds)
+        return Measured(cpu_percent, unheard, rss_mb(process.pid), (p50, p95), heard.health)
+
+
+async def _cpu_percent(pid: int, seconds: float) -> float:
+    """Of a core, for so long."""
+    began, used = time.monotonic(), cpu_seconds(pid)
+    await asyncio.sleep(seconds)
+    return 100.0 * (cpu_seconds(pid) - used) / (time.monotonic() - began)
 
 
 def startup_lines(times: int) -> list[Figure]:

@@ -10,8 +10,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,11 +37,12 @@ PATIENCE_S = 60.0  # for an agent to show its first track
 
 
 class LoneAgent(NamedTuple):
-    """heard: of its team, which is nobody else's."""
+    """heard: of its team, which is nobody else's, until `stop_listening`."""
 
     process: subprocess.Popen[bytes]
     team: str
     heard: Heard
+    stop_listening: Callable[[], Awaitable[None]]
 
 
 @asynccontextmanager
@@ -52,9 +53,10 @@ async def scripted_agent(
     port, team = free_port(), f"bench-{secrets.token_hex(4)}"
     config = scripted_entries(port, team) | dict(entries or {})
     with agent_process(["swarmtrack.benchmarks.scripted_agent", *options], config) as process:
-        async with listening(team) as heard, autopilot(port):
+        async with AsyncExitStack() as hearing, autopilot(port):
+            heard = await hearing.enter_async_context(listening(team))
             await until_tracking(process, heard)
-            yield LoneAgent(process, team, heard)
+            yield LoneAgent(process, team, heard, hearing.aclose)
 
 
 @dataclass

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 # To the team, and to whoever watches it.
 HEALTH_PERIOD_S = 1.0
+# Of tracks that nobody listens to: what waits for them, a scan without its gyro samples, waits no longer.
+UNHEARD_TRACKS_PERIOD_S = 0.1
 IDENTITIES = 1.0
 # Whom we see as whom is told at once where it changed, but no more often than that.
 IDENTITIES_CHANGED = 0.1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import math
 import re
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -31,7 +32,8 @@ log = logging.getLogger(__name__)
 
 
 class TracksPublisher:
-    """`tracks/<id>`: `hz` times a second, and at once when a scan was tracked. Each time the watchdog is fed."""
+    """`tracks/<id>`: `hz` times a second, and at once when a scan was tracked, while anybody listens. Each time the
+    watchdog is fed."""
 
     def __init__(
         self,
@@ -56,6 +58,7 @@ class TracksPublisher:
         self._also = also
         self._tracked = asyncio.Event()
         self._detected_at: float | None = None
+        self._asked_at = -math.inf
         self._sequence = 0
 
     def on_detections(self) -> None:
@@ -81,6 +84,25 @@ class TracksPublisher:
 
     def _publish(self) -> None:
         now = self._clock.now()
+        if self._is_awaited or now - self._asked_at >= periods.UNHEARD_TRACKS_PERIOD_S:
+            self._asked_at = now
+            self._send(now)
+        else:
+            self._health.published.tick()
+            self._detected_at = None
+        self._watchdog.feed(self._wall.now())
+
+    @property
+    def _is_awaited(self) -> bool:
+        """Whether there is a subscriber, a recording or a further output."""
+        return (
+            self._also is not None
+            or self._door.listener is not None
+            or self._transport.has_listener(Kind.TRACKS)
+        )
+
+    def _send(self, now: float) -> None:
+        """The tracks as of now."""
         tracks = self._door.tracks(now)
         message = tracks_message(tracks, self._sequence + 1, self._clock.utc() - now, UTC_SIGMA)
         try:
@@ -95,7 +117,6 @@ class TracksPublisher:
         if self._detected_at is not None:
             self._health.detections_to_published.add(self._wall.now() - self._detected_at)
             self._detected_at = None
-        self._watchdog.feed(self._wall.now())
 
 
 class Troubles:

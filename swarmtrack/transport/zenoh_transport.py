@@ -27,7 +27,7 @@ from swarmtrack.security import names
 from swarmtrack.security.credentials import Credentials
 from swarmtrack.transport import keys, settings
 from swarmtrack.transport.base import PUBLISHED, Kind, Sample
-from swarmtrack.transport.giving_way import Channel, RateLimiter
+from swarmtrack.transport.giving_way import PACED, Channel, RateLimiter
 from swarmtrack.transport.joining import keep_joining
 from swarmtrack.transport.knocking import keep_knocking
 from swarmtrack.transport.limits import (
@@ -342,9 +342,7 @@ class ZenohTransport:
     def has_listener(self, kind: Kind, camera: int = 0) -> bool:
         # Of what is cheap nobody asks: it is said anyway.
         channel = (kind, camera)
-        return channel in self._publishers and (
-            kind is not Kind.VIDEO or self._giving_way.has_listener(channel)
-        )
+        return channel in self._publishers and (kind not in PACED or self._giving_way.has_listener(channel))
 
     @property
     def is_narrow(self) -> bool:

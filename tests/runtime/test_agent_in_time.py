@@ -75,6 +75,20 @@ def test_tracks_are_published_at_their_rate_and_at_once_after_each_scan(tmp_path
     assert sequences == list(range(1, len(sequences) + 1))
 
 
+def test_tracks_that_nobody_listens_to_are_carried_on_ten_times_a_second(tmp_path):
+    flight = SimulatedFlight(tmp_path, heard=False)
+    flight.at(2.0, flight.hub.listeners.append, flight.hear)
+    asked, tracks = [], flight.parts.door.tracks
+    flight.parts.door.tracks = lambda now: (asked.append(now - BEGIN), tracks(now))[1]
+    flight.fly(4.0)
+    unheard = [t for t in asked if 1.0 < t < 1.99]
+    assert len(unheard) == pytest.approx(9, abs=1)
+    assert np.diff(unheard).max() < 0.13
+    assert np.diff(flight.times(Kind.TRACKS, 2.0, 4.0)).max() < 0.021
+    # What the rate says is how often they could be had.
+    assert health(flight, 4.0).rates["tracks"].got_hz == pytest.approx(60.0, abs=2.0)
+
+
 def test_the_camera_is_told_once_before_the_first_tracks(tmp_path):
     flight = SimulatedFlight(
         tmp_path, "camera.body_from_camera = { rpy_deg = [0, 10, 0], position_m = [0.1, 0, 0] }\n"
