@@ -70,7 +70,11 @@ def adsb_vehicle(
     velocity (3,) m/s north, east, down over the ground; None: sent without velocity and course, and flagged so.
     """
     north, east, down = (0.0, 0.0, 0.0) if velocity is None else velocity.tolist()
-    moving = common.ADSB_FLAGS_VALID_HEADING | common.ADSB_FLAGS_VALID_VELOCITY
+    moving = (
+        common.ADSB_FLAGS_VALID_HEADING
+        | common.ADSB_FLAGS_VALID_VELOCITY
+        | common.ADSB_FLAGS_VERTICAL_VELOCITY_VALID
+    )
     return common.MAVLink_adsb_vehicle_message(
         ICAO_address=address,
         lat=round(1e7 * math.degrees(place.latitude)),

@@ -345,11 +345,11 @@ class AutopilotSection(Section):
     component_id: Annotated[int, Strict(), Field(ge=191, le=194)] = Field(
         default=191, description="our own component ID; change it where another onboard computer uses 191"
     )
-    tell: tuple[Literal["status", "camera_tracking", "adsb"], ...] = Field(
+    tell: tuple[Literal["status", "teammates", "camera_tracking", "adsb"], ...] = Field(
         default=("status",),
         description='what to send to the ground station through the autopilot; "status": texts, and how many '
-        'teammates are identified; "camera_tracking": the box of one teammate; "adsb": their positions, but read '
-        "docs/telling.md first; []: only a heartbeat",
+        'teammates are identified; "teammates": where each is, as texts; "camera_tracking": the box of one teammate; '
+        '"adsb": their positions on the map, but read docs/telling.md first; []: only a heartbeat',
     )
 
     @field_validator("tell", mode="before")
@@ -358,8 +358,8 @@ class AutopilotSection(Section):
         for word in tell if isinstance(tell, list | tuple) else ():
             if word == "follow_target":
                 raise ValueError(
-                    'found "follow_target", expected status, camera_tracking or adsb: a vehicle follows that '
-                    "message, and one camera measures no range (docs/telling.md)"
+                    'found "follow_target", expected status, teammates, camera_tracking or adsb: a vehicle '
+                    "follows that message, and one camera measures no range (docs/telling.md)"
                 )
         return tell
 

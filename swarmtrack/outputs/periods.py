@@ -18,3 +18,5 @@ VIDEO = 0.1
 BOX = 0.2
 TEAMMATES_IN_VIEW = 1.0
 REPORTED_POSITIONS = IDENTITIES
+# One teammate's position as a text; half of the lines stay free for news.
+PLACE_TEXTS = 5.0

@@ -16,6 +16,7 @@ import numpy as np
 
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.notices import (
+    LONGEST_CALLSIGN,
     MOST_DEVICES,
     Severity,
     adsb_vehicle,
@@ -43,6 +44,7 @@ from swarmtrack.outputs import periods
 from swarmtrack.outputs.drawing import SeenTrack, as_seen
 from swarmtrack.outputs.status_lines import Debounced, StatusLines
 from swarmtrack.outputs.teammates_on_earth import TeammatesOnEarth
+from swarmtrack.outputs.wording import place_in_words
 from swarmtrack.perceived import PilotView
 from swarmtrack.wire.health import LinkHealth
 
@@ -86,6 +88,10 @@ class PilotNotices:
         self._clock = clock
         self._wall = wall
         self._texts, self._boxes = "status" in tell, "camera_tracking" in tell
+        self._tells_places = "teammates" in tell
+        self._place_at = -math.inf
+        self._place_of = 0
+        """Drone whose position was in the last text."""
         self._scan: ScanReport | None = None
         self._scan_at = -math.inf
         self._links: Mapping[str, bool] = {}
@@ -144,7 +150,10 @@ class PilotNotices:
     def add(self, severity: Severity, text: str) -> None:
         """A line for the pilot."""
         if self._autopilot is not None and self._texts:
-            self.lines.add(severity, f"swarmtrack: {text}", self._wall.now())
+            self._add(severity, text)
+
+    def _add(self, severity: Severity, text: str) -> None:
+        self.lines.add(severity, f"swarmtrack: {text}", self._wall.now())
 
     # ── what is said ─────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -158,13 +167,15 @@ class PilotNotices:
         """Say what is due."""
         if self._autopilot is None:
             return
-        if self._texts:
-            if now - self._number_at >= periods.TEAMMATES_IN_VIEW:
-                self._number_at = now
-                named = len({entry.identity for entry in self._named(now)})
-                self._look_for_news(named, now)
-                self._autopilot.send_message(named_value(now, TRACK_COUNT_NAME, named))
-            self._say_line(now)
+        if self._texts and now - self._number_at >= periods.TEAMMATES_IN_VIEW:
+            self._number_at = now
+            named = len({entry.identity for entry in self._named(now)})
+            self._look_for_news(named, now)
+            self._autopilot.send_message(named_value(now, TRACK_COUNT_NAME, named))
+        if self._tells_places and now - self._place_at >= periods.PLACE_TEXTS:
+            self._place_at = now
+            self._tell_next_place(now)
+        self._say_line(now)
         if self._boxes:
             self._show(now)
         if self._positions is not None and now - self._positions_at >= periods.REPORTED_POSITIONS:
@@ -234,9 +245,21 @@ class PilotNotices:
         motion = self._perceived.motion_report(self._boot, 0)
         for found in positions.in_view(self._named(now), own, motion, self._clock.now()):
             address = _address(self._team, found.drone_id)
+            callsign = _callsign(found.drone_id, found.sigma)
             self._autopilot.send_message(
-                adsb_vehicle(f"ST{found.drone_id}", found.place, found.age, address, found.velocity)
+                adsb_vehicle(callsign, found.place, found.age, address, found.velocity)
             )
+
+    def _tell_next_place(self, now: float) -> None:
+        """Where one teammate is, as a text: they take turns."""
+        places = {
+            entry.relative.drone_id: words
+            for entry in self._named(now)
+            if entry.relative is not None and (words := place_in_words(entry.relative))
+        }
+        if places:
+            self._place_of = min(places, key=lambda drone_id: (drone_id <= self._place_of, drone_id))
+            self._add(Severity.INFO, places[self._place_of])
 
     def _show(self, now: float) -> None:
         """The box of one teammate in one camera's image: the message has room for one. Of each camera the largest, for
@@ -272,6 +295,18 @@ class PilotNotices:
 def _address(team: str, drone_id: int) -> int:
     """24 bits that are the same on every drone and in every flight, as an ICAO address is; 0 is nobody's."""
     return zlib.crc32(f"{team}/{drone_id}".encode()) % 0xFFFFFF + 1
+
+
+def _callsign(drone_id: int, sigma: float | None) -> str:
+    """Name on the map, with the quality of the position: `ST2 1m` is measured to 1 m, `ST2?` the drone's own report.
+
+    sigma: m, or None. A name too long for the metres goes without.
+    """
+    name = f"ST{drone_id}"
+    if sigma is None:
+        return f"{name}?"
+    measured = f"{name} {math.ceil(sigma)}m"
+    return measured if len(measured) <= LONGEST_CALLSIGN else name
 
 
 def _corners(track: SeenTrack, lens: PinholeCamera) -> Array:

@@ -21,14 +21,14 @@ SAME_SCAN, SAME_TIME = 1e-3, 0.5
 class PlaceOnEarth(NamedTuple):
     """age: s since it held. velocity (3,) m/s north, east, down over the ground; None where it is not known.
 
-    measured: by this drone; else it is the teammate's own word, on our ray.
+    sigma: m, along the worst axis, our own position's included; None: the teammate's own report, on our ray.
     """
 
     drone_id: int
     place: Geodetic
     age: float
     velocity: Array | None
-    measured: bool
+    sigma: float | None
 
 
 class TeammatesOnEarth:
@@ -57,31 +57,29 @@ class TeammatesOnEarth:
         if own is not None:
             for entry in sorted(named, key=lambda entry: entry.identity_probability):
                 state = entry.relative
-                if state is not None and self._is_firm(state, own):
-                    found[state.drone_id] = self._measured(state, own, motion, now)
+                if state is not None and abs(state.t - own.t) <= SAME_SCAN:
+                    place = self._measured(state, own, motion, now)
+                    if place.sigma is not None and place.sigma < FIRM_PLACE:
+                        found[state.drone_id] = place
         for said in self._reported.in_view(own, now):
             if said.drone_id not in found:
                 found[said.drone_id] = PlaceOnEarth(
-                    said.drone_id, said.position, said.age, velocity=None, measured=False
+                    said.drone_id, said.position, said.age, velocity=None, sigma=None
                 )
         return list(found.values())
-
-    def _is_firm(self, state: RelativeState, own: SightingReport) -> bool:
-        if abs(state.t - own.t) > SAME_SCAN:
-            return False
-        return math.hypot(_worst(state.cov[:3, :3]), own.position_sigma) < FIRM_PLACE
 
     def _measured(
         self, state: RelativeState, own: SightingReport, motion: MotionReport | None, now: float
     ) -> PlaceOnEarth:
         velocity = None
         if motion is not None and abs(motion.t - state.t) < SAME_TIME:
-            sigma = _worst(state.cov[3:, 3:] + motion.velocity_cov)
-            velocity = state.velocity + motion.velocity if sigma < FIRM_VELOCITY else None
+            speed_sigma = worst_sigma(state.cov[3:, 3:] + motion.velocity_cov)
+            velocity = state.velocity + motion.velocity if speed_sigma < FIRM_VELOCITY else None
         place = from_ned(own.position + state.position, self._origin)
-        return PlaceOnEarth(state.drone_id, place, max(now - state.t, 0.0), velocity, measured=True)
+        sigma = math.hypot(worst_sigma(state.cov[:3, :3]), own.position_sigma)
+        return PlaceOnEarth(state.drone_id, place, max(now - state.t, 0.0), velocity, sigma)
 
 
-def _worst(cov: Array) -> float:
+def worst_sigma(cov: Array) -> float:
     """One sigma along the worst axis of (3, 3)."""
     return math.sqrt(max(0.0, float(np.linalg.eigvalsh(cov)[-1])))

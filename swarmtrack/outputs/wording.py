@@ -28,13 +28,16 @@ from swarmtrack.messages import (
     PeerEvent,
     PeerExpelled,
     RangeReport,
+    RelativeState,
     SightingReport,
 )
 from swarmtrack.motion.ground_heights import GroundHeightNews
+from swarmtrack.outputs.teammates_on_earth import worst_sigma
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 
 COMPASS_POINTS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
+COMPASS_INITIALS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 
 News = (
     PeerEvent
@@ -48,6 +51,18 @@ News = (
     | SeamNews
     | MountingNews
 )
+
+
+def place_in_words(state: RelativeState) -> str:
+    """`drone 2: 85 m NE, 10 m up, ±1 m`: from this drone, in team axes; empty where the distance is only a guess."""
+    north, east, down = state.position.tolist()
+    sigma = worst_sigma(state.cov[:3, :3])
+    if not sigma < math.hypot(north, east, down):
+        return ""
+    side = round(math.atan2(east, north) / (math.pi / 4.0)) % 8
+    height = f"{abs(down):.0f} m {'down' if down > 0.0 else 'up'}"
+    ahead = f"{math.hypot(north, east):.0f} m {COMPASS_INITIALS[side]}"
+    return f"drone {state.drone_id}: {ahead}, {height}, ±{math.ceil(sigma)} m"
 
 
 def fault_in_words(fault: OwnFault) -> str:

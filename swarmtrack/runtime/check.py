@@ -42,8 +42,9 @@ from swarmtrack.transport.settings import parse_endpoint
 DANGERS = {
     "camera_tracking": "one box for all teammates; QGroundControl draws it only with a MAVLink camera that tracks, "
     "which the agent is not",
-    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it receives; positions that "
-    "are not known in metres are the teammates' own reports, checked by the camera's direction only",
+    "adsb": "an ArduPilot with ADSB_TYPE = 1 and AVD_ENABLE = 1 evades what it receives, and so does a PX4 with "
+    "NAV_TRAFF_AVOID of 2 or more; positions that are not known in metres are the teammates' own reports, checked by "
+    "the camera's direction only",
 }
 
 FLOWN = "enabled: its agent flies it while its pilot has it in GUIDED or OFFBOARD"

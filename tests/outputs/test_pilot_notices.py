@@ -11,6 +11,7 @@ import subprocess
 import sys
 import time
 import tty
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from support.drone_on_the_bench import written
 from support.fake_autopilot import FakeAutopilot, serve_udp
 from support.ports import free_port
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
-from swarmtrack.autopilot.notices import Severity, image_status, named_value, status_text
+from swarmtrack.autopilot.notices import LONGEST_CALLSIGN, Severity, image_status, named_value, status_text
 from swarmtrack.clock import ManualClock, SystemClock
 from swarmtrack.config.drone import load_config
 from swarmtrack.errors import ConfigError
@@ -41,7 +42,9 @@ from swarmtrack.messages import (
     TrackList,
     TrackStatus,
 )
-from swarmtrack.outputs.status_lines import Debounced, StatusLines
+from swarmtrack.outputs import pilot_notices
+from swarmtrack.outputs.status_lines import LINE_EVERY, Debounced, StatusLines
+from swarmtrack.outputs.wording import place_in_words
 from swarmtrack.runtime.agent import make_notices
 from swarmtrack.runtime.assembly import assemble
 from swarmtrack.wire.health import link_health
@@ -385,7 +388,7 @@ async def test_a_teammate_is_on_the_map_where_it_says_it_is_while_the_camera_see
         places = told.ground.of("ADSB_VEHICLE")
         assert len(places) == 3
         place = places[-1]
-        assert (place.callsign, place.emitter_type) == ("ST2", common.ADSB_EMITTER_TYPE_UAV)
+        assert (place.callsign, place.emitter_type) == ("ST2?", common.ADSB_EMITTER_TYPE_UAV)
         assert place.tslc <= 1
         assert place.lat == pytest.approx(474000000 + 100.0 / 111_180.0 * 1e7, abs=20)
         assert place.lon == pytest.approx(85000000 + 1.0 / 75_460.0 * 1e7, abs=20)
@@ -430,12 +433,16 @@ async def test_a_teammate_is_on_the_map_where_we_measure_it_whatever_it_says(tmp
         places = told.ground.of("ADSB_VEHICLE")
         assert 2 <= len(places) <= 4
         place = places[-1]
-        assert place.callsign == "ST2"
+        assert place.callsign == "ST2 1m"
         assert place.lat == pytest.approx(474000000 + 80.0 / 111_180.0 * 1e7, abs=20)
         assert place.lon == pytest.approx(85000000 + 30.0 / 75_460.0 * 1e7, abs=30)
         assert place.altitude == pytest.approx(498_000, abs=10)
         # It flies 3 m/s north and 3 east over the ground, and climbs at 1.5.
-        moving = common.ADSB_FLAGS_VALID_HEADING | common.ADSB_FLAGS_VALID_VELOCITY
+        moving = (
+            common.ADSB_FLAGS_VALID_HEADING
+            | common.ADSB_FLAGS_VALID_VELOCITY
+            | common.ADSB_FLAGS_VERTICAL_VELOCITY_VALID
+        )
         assert place.flags & moving == moving
         assert (place.heading, place.hor_velocity, place.ver_velocity) == (4500, 424, 150)
         # Without a velocity of our own, its one over the ground is not known.
@@ -458,6 +465,75 @@ async def test_what_is_measured_badly_or_from_nobody_knows_where_is_not_on_the_m
         told.parts.door.perceived.position_sigma = own_sigma
         told.fly(3.0, [2], place=measured(sigma))
     assert not told.ground.of("ADSB_VEHICLE")
+
+
+@pytest.mark.parametrize(
+    ("drone_id", "sigma", "callsign"),
+    [(2, 0.3, "ST2 1m"), (999, 2.01, "ST999 3m"), (1000, 0.3, "ST1000"), (65535, None, "ST65535?")],
+)
+def test_a_callsign_fits_its_field_and_never_calls_a_report_measured(drone_id, sigma, callsign):
+    assert pilot_notices._callsign(drone_id, sigma) == callsign
+    assert len(callsign.encode()) <= LONGEST_CALLSIGN
+
+
+async def test_a_ground_station_decodes_places_and_texts_from_a_real_socket(tmp_path):
+    port, clock = free_port(), SystemClock()
+    config = written(
+        tmp_path,
+        camera=CAMERA,
+        autopilot=f'link = "udpin:127.0.0.1:{port}"\ntell = ["adsb", "teammates"]',
+        team=ORIGIN,
+    )
+    parts = assemble(load_config(config), clock)
+    parts.door.perceived = Looking(clock)
+    parts.door.perceived.velocity = (1.0, 0.0, 0.0)
+    notices = make_notices(parts)
+    ground = Ground(system=7, boot_at=clock.now() - 40.0)
+    link = asyncio.create_task(parts.autopilot.run(Listener()))
+    try:
+        async with serve_udp(ground, "127.0.0.1", port), asyncio.timeout(TIMEOUT):
+            while not (ground.of("ADSB_VEHICLE") and ground.texts):
+                now = clock.now()
+                size, mean = np.array((20.0, 10.0)), np.array((100.0, 0.0, 200.0, 0.0))
+                track = Track(1, now, mean, np.eye(4), TrackStatus.CONFIRMED, 1.0, size)
+                place = measured(velocity=(0.0, -2.0, 0.0))(2, now)
+                seen = IdentifiedTrack(track, 2, 0.99, relative=place)
+                notices.on_scan(ScanReport(1, TrackList(now, now, (seen,))))
+                notices.tick(now)
+                await asyncio.sleep(0.02)
+    finally:
+        link.cancel()
+        await asyncio.gather(link, return_exceptions=True)
+    place = ground.of("ADSB_VEHICLE")[0]
+    assert (place.get_srcSystem(), place.get_srcComponent()) == (7, 191)
+    assert place.callsign == "ST2 1m"
+    assert place.lat == pytest.approx(474000000 + 80.0 / 111_180.0 * 1e7, abs=20)
+    assert place.heading == pytest.approx(36000 - 6343, abs=1)
+    assert place.hor_velocity == pytest.approx(224, abs=1)
+    assert ground.texts[0] == (common.MAV_SEVERITY_INFO, "swarmtrack: drone 2: 85 m N, 10 m up, +-1 m")
+
+
+async def test_texts_of_places_take_turns_leave_room_for_news_and_keep_silent_about_guesses(tmp_path):
+    told = Told(tmp_path, '["teammates"]', looking=True)
+    assert pilot_notices.periods.PLACE_TEXTS >= 2.0 * LINE_EVERY
+    async with told.flight:
+        told.fly(16.0, [2, None, 3], place=lambda i, now: measured()(i, now) if i else None)
+        assert set(told.texts) == {
+            "drone 2: 85 m N, 10 m up, +-1 m",
+            "drone 3: 85 m N, 10 m up, +-1 m",
+        }
+        assert 2 <= len(told.texts) <= 4
+        before = len(told.texts)
+        told.fly(12.0, [2], place=measured(sigma=90.0))  # more than the distance
+        told.fly(12.0, [2])
+        assert len(told.texts) == before
+    # News of the agent itself, and the number of teammates, belong to "status".
+    assert not told.ground.of("NAMED_VALUE_FLOAT")
+
+
+def test_a_place_below_and_to_the_northwest_is_said_so():
+    state = replace(measured(sigma=2.4)(65535, 0.0), position=np.array((30.0, -30.0, 7.0)))
+    assert place_in_words(state) == "drone 65535: 42 m NW, 7 m down, ±3 m"
 
 
 async def test_a_flood_of_places_is_not_remembered(tmp_path):
@@ -633,7 +709,7 @@ def test_of_too_many_lines_the_least_severe_go_first():
         ('["adsb"]', '"adsb" without an origin of the team frame, expected [team] origin'),
         ('["follow_target"]', "one camera measures no range"),
         ('["follow_target"]', "docs/telling.md"),
-        ('["sms"]', "'status', 'camera_tracking' or 'adsb'"),
+        ('["sms"]', "'status', 'teammates', 'camera_tracking' or 'adsb'"),
         ('"status"', "a list"),
         ("3", "a list"),
     ],
