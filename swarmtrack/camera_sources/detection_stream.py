@@ -12,7 +12,7 @@ for any camera), and a score in 0 … 1. `t_s` is the middle of the exposure, on
 UTC (`http_stream` says how it is told apart); without it the time of arrival is used. `sequence` counts the camera's
 frames, and is the line's own number where it is missing. Empty lines keep the connection.
 
-A Sony IMX500 or a Luxonis OAK-D becomes such a source by a few lines of Python on top of the maker's library, and an
+A Sony IMX500 or a Luxonis OAK becomes such a source by a script on top of the maker's library (docs/examples), and an
 agent that has one imports neither OpenCV nor ONNX Runtime.
 
 A line may come late: its detections still hold at their exposure, so unlike a picture it is not weighed against the
