@@ -11,8 +11,8 @@ import signal
 import socket
 import sys
 import webbrowser
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator
+from contextlib import asynccontextmanager, contextmanager
 from typing import TYPE_CHECKING
 
 from swarmtrack.arguments import add_file, add_flag, port
@@ -22,10 +22,12 @@ from swarmtrack.transport.network_arguments import add_network_arguments, networ
 if TYPE_CHECKING:
     import ssl
 
+    from swarmtrack.monitor.foxglove_server import FoxgloveServer
     from swarmtrack.monitor.server import Feed, MonitorServer
     from swarmtrack.outputs.flight_end import FlightEnd
 
 DEFAULT_PORT = 8080
+FOXGLOVE_PORT = 8765
 MAX_ENDING = 1 << 20  # bytes of a verdict
 UNENCRYPTED = (
     "the page, and the token in its address, travel unencrypted: anyone on this network can read them; "
@@ -62,6 +64,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_file(parser, "--certificate", "serve over TLS with this certificate, PEM; requires --key")
     add_file(parser, "--key", "key of the certificate, PEM")
+    parser.add_argument(
+        "--foxglove",
+        type=port,
+        nargs="?",
+        const=FOXGLOVE_PORT,
+        metavar="PORT",
+        help="serve the team to Foxglove and Lichtblick as well, on this machine only, 0: any free port "
+        f"(default: {FOXGLOVE_PORT})",
+    )
     add_flag(parser, "--open", "open the page in this machine's browser")
     # Of `swarmtrack sim`, which says on our standard input how the flight ended.
     parser.add_argument("--flight", action="store_true", help=argparse.SUPPRESS)
@@ -170,15 +181,36 @@ async def _serve(
             print(f"swarmtrack monitor: {UNENCRYPTED}", file=sys.stderr)
         if args.open:
             await asyncio.to_thread(webbrowser.open, url)
-        running = asyncio.create_task(server.run(), name="monitor")
-        stopped = asyncio.create_task(stop.wait(), name="stop")
-        await asyncio.wait({running, stopped}, return_when=asyncio.FIRST_COMPLETED)
-        if running.done():
-            running.result()  # a bug: its exception comes out
-        for task in (running, stopped):
-            task.cancel()
-        await asyncio.gather(running, stopped, return_exceptions=True)
+        with _foxglove(args.foxglove, feed, what) as others:
+            running = asyncio.create_task(server.run(*others), name="monitor")
+            stopped = asyncio.create_task(stop.wait(), name="stop")
+            await asyncio.wait({running, stopped}, return_when=asyncio.FIRST_COMPLETED)
+            if running.done():
+                running.result()  # a bug: its exception comes out
+            for task in (running, stopped):
+                task.cancel()
+            await asyncio.gather(running, stopped, return_exceptions=True)
     return 0
+
+
+@contextmanager
+def _foxglove(number: int | None, feed: Feed, name: str) -> Iterator[list[FoxgloveServer]]:
+    """What serves Foxglove at that port; none where that is not asked for."""
+    if number is None:
+        yield []
+        return
+    from swarmtrack.clock import SystemClock
+    from swarmtrack.monitor.foxglove_server import FoxgloveServer
+    from swarmtrack.monitor.player import RecordingPlayer
+
+    played = feed.span if isinstance(feed, RecordingPlayer) else None
+    server = FoxgloveServer(feed, f"swarmtrack: {name}", SystemClock(), played)
+    server.open(number)
+    print(f"foxglove: ws://127.0.0.1:{server.port}", flush=True)
+    try:
+        yield [server]
+    finally:
+        server.close()
 
 
 @asynccontextmanager

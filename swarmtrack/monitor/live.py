@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import AsyncIterator, Awaitable, Callable
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from swarmtrack.errors import TransportError
 from swarmtrack.monitor.drone_cameras import ViewKey
@@ -19,6 +19,11 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import Sample
 from swarmtrack.transport.listening import hint_at, other_teams
 from swarmtrack.wire.video import VideoMessage
+
+if TYPE_CHECKING:
+    from foxglove.messages import Timestamp
+
+    from swarmtrack.monitor.foxglove_scenes import Written
 
 log = logging.getLogger(__name__)
 
@@ -93,6 +98,12 @@ class LiveFeed:
                 self._wishes.set()
                 return True
         return self._again is not None and self._again.on_wish(wish)
+
+    def scene(self, stamp: Timestamp) -> list[Written]:
+        # Here, not above: only `--foxglove` needs the SDK.
+        from swarmtrack.monitor.foxglove_scenes import scene_of  # noqa: PLC0415
+
+        return scene_of(self._team, stamp) if self._again is None else self._again.scene(stamp)
 
     async def _keep_the_end(self, ending: Callable[[], Awaitable[FlightEnd | None]]) -> None:
         while (end := await ending()) is not None:

@@ -12,7 +12,7 @@ import asyncio
 import math
 import pickle
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
@@ -24,6 +24,11 @@ from swarmtrack.monitor.team import VIEW_S, MonitoredTeam, around_state
 from swarmtrack.monitor.timeline import Blob, Timeline
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
+
+if TYPE_CHECKING:
+    from foxglove.messages import Timestamp
+
+    from swarmtrack.monitor.foxglove_scenes import Written
 
 PLAYER_STEP_S = 0.1
 STEPS_PER_CHECKPOINT = 100
@@ -95,13 +100,13 @@ class Playback:
 
     def state(self, watched: frozenset[ViewKey] = frozenset()) -> dict[str, Any]:
         """As of a running swarm. watched: cameras of drones whose metres are told, however many there are."""
-        team, t = self._scene.team, self._scene.clock.t
+        team = self._scene.team
         state = team.state()
         few, whom = len(team.drones) <= MAPPED, {drone_id for drone_id, _ in watched}
         for drone in state["drones"]:
             # The team is told no tracks, which wait in their file until they are shown.
             if few or drone["id"] in whom:
-                tracks = self.timeline.newest_tracks(drone["id"], t, max_age=VIEW_S)
+                tracks = self.newest_tracks(drone["id"])
                 drone["metres"] = metres(tracks)
                 drone["around"] = around_state(team.rig(drone["id"]), tracks, few=few)
         return state
@@ -126,6 +131,10 @@ class Playback:
         if view.picture is not None:
             message = msgspec.structs.replace(message, jpeg=self.timeline.blob_file.get(view.picture))
         return message, self.timeline.tracks_at(drone_id, message.t_utc_s)
+
+    def newest_tracks(self, drone_id: int) -> TracksMessage | None:
+        """What a drone tracks at this step."""
+        return self.timeline.newest_tracks(drone_id, self._scene.clock.t, max_age=VIEW_S)
 
     def rig(self, drone_id: int) -> DroneCameras | None:
         """The cameras of a drone with several."""
@@ -175,6 +184,11 @@ class RecordingPlayer:
     def cameras(self) -> tuple[ViewKey, ...]:
         return self._playback.cameras
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """Begin, UTC [s], and length [s]."""
+        return self._playback.timeline.begin, self._playback.steps * PLAYER_STEP_S
+
     async def run(self, audience: Audience) -> None:
         """Until cancelled. It does not stop without viewers: it is paused by hand, or stops at its end."""
         loop = asyncio.get_running_loop()
@@ -214,6 +228,12 @@ class RecordingPlayer:
                 return False
         self._news.set()
         return True
+
+    def scene(self, stamp: Timestamp) -> list[Written]:
+        # Here, not above: only `--foxglove` needs the SDK.
+        from swarmtrack.monitor.foxglove_scenes import scene_of  # noqa: PLC0415
+
+        return scene_of(self._playback.team, stamp, self._playback.newest_tracks)
 
     def _play(self, seconds: float) -> bool:
         """Whether it moved on."""

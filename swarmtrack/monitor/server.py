@@ -18,13 +18,18 @@ import contextlib
 import json
 import struct
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from swarmtrack.monitor.access import AccessGuard
 from swarmtrack.monitor.drone_cameras import ViewKey
 from swarmtrack.wire.video import VideoMessage
+
+if TYPE_CHECKING:
+    from foxglove.messages import Timestamp
+
+    from swarmtrack.monitor.foxglove_scenes import Written
 
 PAGE = Path(__file__).parent / "page" / "index.html"
 STATE_HZ = 5.0
@@ -64,6 +69,32 @@ class Feed(Protocol):
 
     def on_wish(self, wish: dict[str, Any]) -> bool:
         """Another request of a page; returns whether it is known."""
+
+    def scene(self, stamp: Timestamp) -> list[Written]:
+        """For Foxglove: all drones, now."""
+
+
+class Audiences:
+    """Several as one."""
+
+    def __init__(self, *audiences: Audience) -> None:
+        self._audiences = audiences
+
+    @property
+    def is_there(self) -> bool:
+        return any(audience.is_there for audience in self._audiences)
+
+    @property
+    def watched(self) -> frozenset[ViewKey]:
+        return frozenset().union(*(audience.watched for audience in self._audiences))
+
+    def broadcast(self, state: dict[str, Any]) -> None:
+        for audience in self._audiences:
+            audience.broadcast(state)
+
+    def show(self, key: ViewKey, view: VideoMessage, boxes: list[dict[str, Any]]) -> None:
+        for audience in self._audiences:
+            audience.show(key, view, boxes)
 
 
 class OpenPage:
@@ -125,9 +156,9 @@ class MonitorServer:
         application.on_shutdown.append(self._close_viewers)
         return application
 
-    async def run(self) -> None:
-        """Run until cancelled, or until the feed ends."""
-        await self._feed.run(self)
+    async def run(self, *others: Audience) -> None:
+        """Run until cancelled, or until the feed ends. others: further audiences of the feed."""
+        await self._feed.run(Audiences(self, *others) if others else self)
 
     # --- for the feed -------------------------------------------------------------------
 

@@ -7,7 +7,7 @@ import logging
 import math
 import re
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -67,6 +67,16 @@ class Moment(NamedTuple):
     named: int
     in_view: int
     wrong: int
+
+
+class SeenDrone(NamedTuple):
+    """What a drone says of where it is and what it sees. position: of its camera, m in the team's frame; views: the
+    fresh ones by camera."""
+
+    drone_id: int
+    position: tuple[float, ...] | None
+    tracks: TracksMessage | None
+    views: dict[int, VideoMessage]
 
 
 @dataclass(slots=True)
@@ -239,6 +249,15 @@ class MonitoredTeam:
             "events": list(self._events)[-EVENTS_SHOWN:],
             "unreadable": self.unreadable + self._odd.total(),
         }
+
+    def seen(self, tracks_of: Callable[[int], TracksMessage | None] | None = None) -> Iterator[SeenDrone]:
+        """All drones that are here. tracks_of: newest tracks by drone, where they are not among the samples."""
+        now = self._clock.now()
+        for drone_id, drone in sorted(self._drones.items()):
+            if drone.gone_since is None:
+                tracks = self._newest_tracks(drone, now) if tracks_of is None else tracks_of(drone_id)
+                views = {k: view for k, (at, view) in sorted(drone.views.items()) if now - at < VIEW_S}
+                yield SeenDrone(drone_id, self._place(drone_id, now), tracks, views)
 
     def forget_untellable(self) -> None:
         """Forget all words of each drone of which there is no state in JSON, and what follows from all their words."""

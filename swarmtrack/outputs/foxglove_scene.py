@@ -98,7 +98,7 @@ class FoxgloveScene:
             yield FRAMES, self._frames(world_from_camera, stamp).encode()
         states = [entry.relative for entry in report.tracks.tracks if entry.relative is not None]
         if states:
-            entities = [self._entity(state, stamp) for state in states]
+            entities = [teammate_of(state, self._ned, stamp) for state in states]
             yield SCENE, SceneUpdate(entities=entities).encode()
         for state in states:
             topic = Topic.well_known(f"/teammates/{state.drone_id}", Odometry)
@@ -109,100 +109,24 @@ class FoxgloveScene:
         cameras = zip(self._names, self._mountings, strict=True)
         return FrameTransforms(
             transforms=[
-                _transform("map", "team", Placed(ENU_FROM_NED, np.zeros(3)), stamp),
-                _transform("team", self._body, body, stamp),
-                *(_transform(self._body, name, mounting, stamp) for name, mounting in cameras),
-                _transform("team", self._ned, Placed(np.eye(3), world_from_camera.position), stamp),
+                map_from_team(stamp),
+                transform("team", self._body, body, stamp),
+                *(transform(self._body, name, mounting, stamp) for name, mounting in cameras),
+                transform("team", self._ned, Placed(np.eye(3), world_from_camera.position), stamp),
             ]
         )
 
     def _cameras(self, stamp: Timestamp) -> Iterator[Written]:
         """The lines around what each sees, and their calibrations."""
-        views = [self._view(name, lens, stamp) for name, lens in zip(self._names, self._lenses, strict=True)]
+        views = [view_of(name, lens, stamp) for name, lens in zip(self._names, self._lenses, strict=True)]
         yield CAMERAS_SCENE, SceneUpdate(entities=views).encode()
         for topic, name, lens in zip(CALIBRATIONS, self._names, self._lenses, strict=False):
             yield topic, calibration(lens, name, stamp).encode()
 
-    def _view(self, name: str, lens: PinholeCamera, stamp: Timestamp) -> SceneEntity:
-        border = VIEW_M * outline(lens)
-        edges = [point for corner in border[::OUTLINE_POINTS_PER_SIDE] for point in (np.zeros(3), corner)]
-        return SceneEntity(
-            timestamp=stamp,
-            frame_id=name,
-            id=name,
-            lines=[
-                _line(LinePrimitiveLineType.LineLoop, border, shade(colour_of(None), LINE_OPACITY)),
-                _line(LinePrimitiveLineType.LineList, edges, shade(colour_of(None), LINE_OPACITY)),
-            ],
-        )
-
     def _rays(self, report: ScanReport, stamp: Timestamp) -> list[SceneEntity]:
         """To what the camera of the scan tracks, as far as that is away, or just on."""
-        shown = [
-            entry
-            for entry in report.tracks.tracks
-            if entry.track.camera == report.camera and entry.track.status is not TrackStatus.TENTATIVE
-        ]
-        pixels = np.array([entry.track.mean[::2] for entry in shown]).reshape(-1, 2)
-        rays = self._lenses[report.camera].bearing_undistorted(pixels)
-        return [
-            self._ray(entry, ray, report.camera, stamp)
-            for entry, ray in zip(shown, rays, strict=True)
-            if np.isfinite(ray).all()
-        ]
-
-    def _ray(self, entry: IdentifiedTrack, ray: Array, camera: int, stamp: Timestamp) -> SceneEntity:
-        state = entry.relative
-        far = RAY_M if state is None else float(np.linalg.norm(state.position))
-        return SceneEntity(
-            timestamp=stamp,
-            frame_id=self._names[camera],
-            id=str(entry.track.id),
-            lifetime=LIFETIME,
-            lines=[
-                _line(
-                    LinePrimitiveLineType.LineStrip,
-                    (np.zeros(3), far * ray),
-                    shade(colour_of(entry.identity), LINE_OPACITY),
-                )
-            ],
-        )
-
-    def _entity(self, state: RelativeState, stamp: Timestamp) -> SceneEntity:
-        colour = colour_of(state.drone_id)
-        read = read_out(state.position, state.velocity, state.cov)
-        variances, axes = np.linalg.eigh(state.cov[:3, :3])
-        axes[:, 0] *= np.sign(np.linalg.det(axes))
-        diameters = np.maximum(2.0 * ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances, 0.0)), LEAST_ELLIPSOID_M)
-        label = state.position - (0.0, 0.0, 2.0 * DRONE_BALL_M)
-        return SceneEntity(
-            timestamp=stamp,
-            frame_id=self._ned,
-            id=str(state.drone_id),
-            lifetime=LIFETIME,
-            spheres=[
-                SpherePrimitive(
-                    pose=pose_of(state.position, axes),
-                    size=_vector(diameters),
-                    color=shade(colour, 0.3),
-                ),
-                SpherePrimitive(
-                    pose=pose_of(state.position, np.eye(3)),
-                    size=Vector3(x=DRONE_BALL_M, y=DRONE_BALL_M, z=DRONE_BALL_M),
-                    color=shade(colour),
-                ),
-            ],
-            texts=[
-                TextPrimitive(
-                    pose=pose_of(label, np.eye(3)),
-                    billboard=True,
-                    font_size=14.0,
-                    scale_invariant=True,
-                    color=shade(colour),
-                    text=f"{name_of(state.drone_id)} {read.distance:.1f} m ± {read.sigma:.1f}",
-                )
-            ],
-        )
+        camera = report.camera
+        return rays_of(report.tracks.tracks, camera, self._lenses[camera], self._names[camera], stamp)
 
     def _odometry(self, state: RelativeState, stamp: Timestamp) -> Odometry:
         """Its attitude is not known: identity, so that velocities have the team's axes, with zero for its covariance as
@@ -216,6 +140,110 @@ class FoxgloveScene:
             pose_covariance=_padded(state.cov[:3, :3]),
             velocity_covariance=_padded(state.cov[3:, 3:]),
         )
+
+
+def map_from_team(stamp: Timestamp) -> FrameTransform:
+    """The team's axes in those of 3D panels."""
+    return transform("map", "team", Placed(ENU_FROM_NED, np.zeros(3)), stamp)
+
+
+def view_of(frame: str, lens: PinholeCamera, stamp: Timestamp) -> SceneEntity:
+    """The lines around what a camera sees, in its frame."""
+    border = VIEW_M * outline(lens)
+    edges = [point for corner in border[::OUTLINE_POINTS_PER_SIDE] for point in (np.zeros(3), corner)]
+    return SceneEntity(
+        timestamp=stamp,
+        frame_id=frame,
+        id=frame,
+        lines=[
+            _line(LinePrimitiveLineType.LineLoop, border, shade(colour_of(None), LINE_OPACITY)),
+            _line(LinePrimitiveLineType.LineList, edges, shade(colour_of(None), LINE_OPACITY)),
+        ],
+    )
+
+
+def rays_of(
+    entries: Sequence[IdentifiedTrack],
+    camera: int,
+    lens: PinholeCamera,
+    frame: str,
+    stamp: Timestamp,
+    *,
+    owner: str = "",
+) -> list[SceneEntity]:
+    """To what a camera tracks. owner: begins the entities' names, where several drones share a topic."""
+    shown = [
+        entry
+        for entry in entries
+        if entry.track.camera == camera and entry.track.status is not TrackStatus.TENTATIVE
+    ]
+    pixels = np.array([entry.track.mean[::2] for entry in shown]).reshape(-1, 2)
+    return [
+        _ray(entry, ray, frame, stamp, owner)
+        for entry, ray in zip(shown, lens.bearing_undistorted(pixels), strict=True)
+        if np.isfinite(ray).all()
+    ]
+
+
+def _ray(entry: IdentifiedTrack, ray: Array, frame: str, stamp: Timestamp, owner: str) -> SceneEntity:
+    state = entry.relative
+    far = RAY_M if state is None else float(np.linalg.norm(state.position))
+    return SceneEntity(
+        timestamp=stamp,
+        frame_id=frame,
+        id=f"{owner}{entry.track.id}",
+        lifetime=LIFETIME,
+        lines=[
+            _line(
+                LinePrimitiveLineType.LineStrip,
+                (np.zeros(3), far * ray),
+                shade(colour_of(entry.identity), LINE_OPACITY),
+            )
+        ],
+    )
+
+
+def teammate_of(state: RelativeState, frame: str, stamp: Timestamp, *, owner: str = "") -> SceneEntity:
+    """Its ellipsoid with name and distance. frame: the observer's, in the team's axes; owner: as of `rays_of`."""
+    colour = colour_of(state.drone_id)
+    read = read_out(state.position, state.velocity, state.cov)
+    variances, axes = np.linalg.eigh(state.cov[:3, :3])
+    axes[:, 0] *= np.sign(np.linalg.det(axes))
+    diameters = np.maximum(2.0 * ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances, 0.0)), LEAST_ELLIPSOID_M)
+    text = f"{name_of(state.drone_id)} {read.distance:.1f} m ± {read.sigma:.1f}"
+    return SceneEntity(
+        timestamp=stamp,
+        frame_id=frame,
+        id=f"{owner}{state.drone_id}",
+        lifetime=LIFETIME,
+        spheres=[
+            SpherePrimitive(
+                pose=pose_of(state.position, axes),
+                size=_vector(diameters),
+                color=shade(colour, 0.3),
+            ),
+            ball(state.position, colour),
+        ],
+        texts=[label(state.position, text, colour)],
+    )
+
+
+def ball(position: Array, colour: Rgb) -> SpherePrimitive:
+    """Where a drone is."""
+    size = Vector3(x=DRONE_BALL_M, y=DRONE_BALL_M, z=DRONE_BALL_M)
+    return SpherePrimitive(pose=pose_of(position, np.eye(3)), size=size, color=shade(colour))
+
+
+def label(position: Array, text: str, colour: Rgb) -> TextPrimitive:
+    """Above a drone; position (3,) m, down positive."""
+    return TextPrimitive(
+        pose=pose_of(position - (0.0, 0.0, 2.0 * DRONE_BALL_M), np.eye(3)),
+        billboard=True,
+        font_size=14.0,
+        scale_invariant=True,
+        color=shade(colour),
+        text=text,
+    )
 
 
 def camera_frame(drone_id: int, camera: int) -> str:
@@ -265,7 +293,8 @@ def shade(colour: Rgb, opacity: float = 1.0) -> Color:
     return Color(r=r, g=g, b=b, a=opacity)
 
 
-def _transform(parent: str, child: str, parent_from_child: Placed, stamp: Timestamp) -> FrameTransform:
+def transform(parent: str, child: str, parent_from_child: Placed, stamp: Timestamp) -> FrameTransform:
+    """Pose of a frame in its parent."""
     return FrameTransform(
         timestamp=stamp,
         parent_frame_id=parent,
