@@ -1,15 +1,17 @@
-"""`swarmtrack log info|repair|merge`: what a recording holds, one that was cut off made whole, several made one."""
+"""`swarmtrack log`: what a recording holds; repaired, merged, as tables, as a bag of ROS 2."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import sys
 from datetime import UTC, datetime
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_action, add_file, add_flag
+from swarmtrack.arguments import add_action, add_file, add_flag, add_folder, positive, require_extra
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    actions = parser.add_subparsers(dest="action", required=True, metavar="info|repair|merge")
+    actions = parser.add_subparsers(dest="action", required=True, metavar="info|repair|merge|csv|rosbag")
     info = add_action(actions, "info", "topics, counts, rates, gaps and damage")
     info.add_argument("path", type=Path, metavar="FILE|DIR")
     add_flag(info, "--json", "print JSON")
@@ -26,6 +28,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     merge = add_action(actions, "merge", "merge several recordings into one file, on one timeline")
     merge.add_argument("paths", type=Path, nargs="+", metavar="FILE|DIR")
     add_file(merge, "--out", "the new file, .mcap", required=True)
+    tables = add_action(actions, "csv", "write tracks, places, identities, health, ego and truth as tables")
+    _add_conversion(tables, "csv")
+    add_flag(tables, "--parquet", "also write each table as Parquet (extra parquet)")
+    bag = add_action(actions, "rosbag", "write a ROS 2 bag with the topics of swarmtrack ros2 (extra rosbag)")
+    _add_conversion(bag, "rosbag")
+    bag.add_argument(
+        "--hz", type=positive, default=20.0, help="tracks per drone and second, at most; default: 20"
+    )
+
+
+def _add_conversion(parser: argparse.ArgumentParser, suffix: str) -> None:
+    parser.add_argument("paths", type=Path, nargs="+", metavar="FILE|DIR")
+    add_folder(
+        parser, "--out", f"output folder (default: NAME-{suffix}, NAME-{suffix}-2 … in the current folder)"
+    )
+    add_flag(parser, "--force", "replace an --out that already exists")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -34,6 +52,10 @@ def run(args: argparse.Namespace) -> int:
             return _info(args.path, as_json=args.json)
         case "repair":
             return _repair(args.path)
+        case "csv":
+            return _csv(args)
+        case "rosbag":
+            return _rosbag(args)
     return _merge(args.paths, args.out)
 
 
@@ -102,3 +124,58 @@ def _merge(paths: list[Path], out: Path) -> int:
         print(f"{recording.folder}: shifted by {1e3 * shift.seconds:+.3f} ms (by {shift.by})")
     print(f"{out}: {count} messages of {len(recordings)} recordings")
     return 0
+
+
+def _csv(args: argparse.Namespace) -> int:
+    if args.parquet:
+        require_extra("parquet", "pyarrow", of="swarmtrack log csv --parquet")
+    from swarmtrack.client.flight_tables import TABLES, write_parquet, write_tables
+
+    out = _free_folder(args, "csv", {f"{name}{suffix}" for name in TABLES for suffix in (".csv", ".parquet")})
+    rows = write_tables(tuple(args.paths), out, _say)
+    if args.parquet:
+        write_parquet(out, list(rows))
+    for name, written in rows.items():
+        print(f"{out / name}.csv: {written} rows")
+    if missing := [name for name in TABLES if name not in rows]:
+        print(f"not in this recording: {', '.join(missing)}")
+    return 0
+
+
+def _rosbag(args: argparse.Namespace) -> int:
+    require_extra("rosbag", "rosbags", of="swarmtrack log rosbag")
+    from swarmtrack.client.ros2_bag import write_bag
+
+    out = _free_folder(args, "rosbag", {"metadata.yaml", "*.mcap"})
+    written = write_bag(tuple(args.paths), out, hz=args.hz, progress=_say)
+    print(f"{out}: {written} messages; `ros2 bag play {out}` plays it")
+    return 0
+
+
+def _say(text: str) -> None:
+    print(f"swarmtrack log: {text}", file=sys.stderr)
+
+
+def _free_folder(args: argparse.Namespace, suffix: str, own: set[str]) -> Path:
+    """Where to write, made free if asked for. own: patterns of what such a folder holds."""
+    from swarmtrack.recording.reader import files_below
+
+    for path in args.paths:
+        files_below(path)  # before anything is removed
+    if args.out is None:
+        stem = args.paths[0].resolve().stem
+        names = (f"{stem}-{suffix}" + (f"-{k}" if k > 1 else "") for k in count(1))
+        return next(folder for name in names if not (folder := Path(name)).exists())
+    out: Path = args.out
+    if out.exists():
+        if not args.force:
+            raise RecordingError(
+                f"--out {out}: already exists, expected a new folder, or --force to replace it"
+            )
+        found = list(out.iterdir()) if out.is_dir() else [out]
+        if not out.is_dir() or not all(any(file.match(each) for each in own) for file in found):
+            raise RecordingError(
+                f"--out {out}: is no output of swarmtrack log {suffix}, so --force does not replace it"
+            )
+        shutil.rmtree(out)
+    return out

@@ -34,7 +34,93 @@ CLIENT_PATIENCE_S: Final = 10.0
 QUIET_KINDS: Final = (Kind.CAMERA, Kind.TRACKS, Kind.HEALTH)
 
 
-class Swarm:
+class TeamReader:
+    """Iterators over a team's messages, wherever those come from."""
+
+    def __init__(self, heard: HeardTeam) -> None:
+        self._heard = heard
+        self._changed = asyncio.Event()
+        """Set when a reader comes, has read everything, or leaves."""
+        self._sights = Outlets[Sight](self._changed)
+        self._healths = Outlets[DroneHealth](self._changed)
+
+    @property
+    def drones(self) -> tuple[int, ...]:
+        """IDs of all live drones, in order."""
+        return self._heard.drones
+
+    @property
+    def counters(self) -> Counter[str]:
+        """Rejected messages, by reason; `dropped`: those that came faster than they were read."""
+        return self._heard.counters + Counter(dropped=self._sights.dropped + self._healths.dropped)
+
+    def camera(self, drone_id: int) -> DroneCamera | None:
+        """A drone's lens and mounting; None while it is unknown, or while two processes use this ID."""
+        return self._heard.camera(drone_id)
+
+    def tracks(
+        self,
+        drone_id: int | None = None,
+        *,
+        keep: int = CLIENT_MESSAGES_KEPT,
+        patience_s: float | None = CLIENT_PATIENCE_S,
+    ) -> AsyncIterator[Sight]:
+        """Tracks of a drone, 50 times per second by default; drone_id None: of all drones.
+
+        keep: size of the queue while the reader is busy, the oldest are dropped; 1 for a controller that wants the
+        newest only. patience_s: raises TransportError with what to check if nothing arrives from the drone within this
+        time; None: waits. Ends when the swarm is left.
+        """
+        return self._read(self._sights, drone_id, keep, patience_s)
+
+    def health(
+        self,
+        drone_id: int | None = None,
+        *,
+        keep: int = CLIENT_MESSAGES_KEPT,
+        patience_s: float | None = CLIENT_PATIENCE_S,
+    ) -> AsyncIterator[DroneHealth]:
+        """Health of a drone's agent, once per second; arguments as in `tracks`."""
+        return self._read(self._healths, drone_id, keep, patience_s)
+
+    async def _read(
+        self, outlets: Outlets[T], drone_id: int | None, keep: int, patience_s: float | None
+    ) -> AsyncIterator[T]:
+        if keep < 1:
+            raise ValueError(f"keep: found {keep}, expected 1 or more")
+        outlet = outlets.open(drone_id, keep)
+        try:
+            try:
+                async with asyncio.timeout(patience_s):
+                    first = await outlet.get()
+            except TimeoutError:
+                raise TransportError(await self._silence(drone_id, patience_s)) from None
+            while first is not None:
+                yield first
+                first = await outlet.get()
+        finally:
+            outlets.remove(outlet)
+
+    def _on_sample(self, sample: Sample) -> None:
+        address = keys.parse(sample.key)
+        if address is None:
+            return
+        match address.kind:
+            case Kind.ALIVE:
+                self._heard.on_token(sample.key, sample.alive, sample.arrived)
+            case Kind.CAMERA:
+                self._heard.on_camera(sample)
+            case Kind.TRACKS if self._sights.wanted(address.drone_id):
+                self._sights.put(address.drone_id, self._heard.on_tracks(sample))
+            case Kind.HEALTH if self._healths.wanted(address.drone_id):
+                self._healths.put(address.drone_id, self._heard.on_health(sample))
+
+    async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
+        """Why nothing is heard."""
+        raise NotImplementedError
+
+
+class Swarm(TeamReader):
     """Receives a team's messages without being a member. It costs the drones one more subscriber, and stays
     unnoticed.
 
@@ -69,10 +155,8 @@ class Swarm:
             insecure=insecure,
         )
         clock = SystemClock()
-        self._heard = HeardTeam(self._network.team, Axes(axes), clock)
+        super().__init__(HeardTeam(self._network.team, Axes(axes), clock))
         self._listener = ZenohListener(self._network, _expressions(self._network.team), clock)
-        self._sights = _Outlets[Sight]()
-        self._healths = _Outlets[DroneHealth]()
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
@@ -94,62 +178,9 @@ class Swarm:
         await self._listener.close()
 
     @property
-    def drones(self) -> tuple[int, ...]:
-        """IDs of all live drones, in order."""
-        return self._heard.drones
-
-    @property
     def counters(self) -> Counter[str]:
         """Rejected messages, by reason; `dropped`: those that came faster than they were read."""
-        dropped = self._listener.dropped + self._sights.dropped + self._healths.dropped
-        return self._heard.counters + Counter(dropped=dropped)
-
-    def camera(self, drone_id: int) -> DroneCamera | None:
-        """A drone's lens and mounting; None while it is unknown, or while two processes use this ID."""
-        return self._heard.camera(drone_id)
-
-    def tracks(
-        self,
-        drone_id: int | None = None,
-        *,
-        keep: int = CLIENT_MESSAGES_KEPT,
-        patience_s: float | None = CLIENT_PATIENCE_S,
-    ) -> AsyncIterator[Sight]:
-        """Tracks of a drone, 50 times per second by default; drone_id None: of all drones.
-
-        keep: size of the queue while the reader is busy, the oldest are dropped; 1 for a controller that wants the
-        newest only. patience_s: raises TransportError with what to check if nothing arrives from the drone within this
-        time; None: waits. Ends when the swarm is left.
-        """
-        return self._read(self._sights, drone_id, keep, patience_s)
-
-    def health(
-        self,
-        drone_id: int | None = None,
-        *,
-        keep: int = CLIENT_MESSAGES_KEPT,
-        patience_s: float | None = CLIENT_PATIENCE_S,
-    ) -> AsyncIterator[DroneHealth]:
-        """Health of a drone's agent, once per second; arguments as in `tracks`."""
-        return self._read(self._healths, drone_id, keep, patience_s)
-
-    async def _read(
-        self, outlets: _Outlets[T], drone_id: int | None, keep: int, patience_s: float | None
-    ) -> AsyncIterator[T]:
-        if keep < 1:
-            raise ValueError(f"keep: found {keep}, expected 1 or more")
-        outlet = outlets.open(drone_id, keep)
-        try:
-            try:
-                async with asyncio.timeout(patience_s):
-                    first = await outlet.get()
-            except TimeoutError:
-                raise TransportError(await self._silence(drone_id, patience_s)) from None
-            while first is not None:
-                yield first
-                first = await outlet.get()
-        finally:
-            outlets.remove(outlet)
+        return super().counters + Counter(dropped=self._listener.dropped)
 
     async def _hear(self) -> None:
         try:
@@ -158,20 +189,6 @@ class Swarm:
         finally:
             self._sights.close()
             self._healths.close()
-
-    def _on_sample(self, sample: Sample) -> None:
-        address = keys.parse(sample.key)
-        if address is None:
-            return
-        match address.kind:
-            case Kind.ALIVE:
-                self._heard.on_token(sample.key, sample.alive, sample.arrived)
-            case Kind.CAMERA:
-                self._heard.on_camera(sample)
-            case Kind.TRACKS if self._sights.wanted(address.drone_id):
-                self._sights.put(address.drone_id, self._heard.on_tracks(sample))
-            case Kind.HEALTH if self._healths.wanted(address.drone_id):
-                self._healths.put(address.drone_id, self._heard.on_health(sample))
 
     async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
         """Why nothing is heard, as far as one can tell."""
@@ -211,8 +228,9 @@ async def ask_for_cameras(heard: HeardTeam, listener: ZenohListener) -> None:
 class _Outlet(Generic[T]):
     """What waits for one reader."""
 
-    def __init__(self, drone_id: int | None, keep: int) -> None:
+    def __init__(self, drone_id: int | None, keep: int, changed: asyncio.Event) -> None:
         self.drone_id = drone_id
+        self._changed = changed
         self.waiting: deque[T] = deque(maxlen=keep)
         self.news = asyncio.Event()
         self.closed = False
@@ -223,23 +241,29 @@ class _Outlet(Generic[T]):
             if self.closed:
                 return None
             self.news.clear()
+            self._changed.set()
             await self.news.wait()
         return self.waiting.popleft()
 
 
-class _Outlets(Generic[T]):
+class Outlets(Generic[T]):
     """All readers of one kind of message; the oldest message goes where a reader is too slow."""
 
-    def __init__(self) -> None:
+    def __init__(self, changed: asyncio.Event) -> None:
         self._all: list[_Outlet[T]] = []
+        self._changed = changed
+        self._closed = False
         self.dropped = 0
 
     def open(self, drone_id: int | None, keep: int) -> _Outlet[T]:
-        self._all.append(_Outlet[T](drone_id, keep))
+        self._all.append(_Outlet[T](drone_id, keep, self._changed))
+        self._all[-1].closed = self._closed
+        self._changed.set()
         return self._all[-1]
 
     def remove(self, outlet: _Outlet[T]) -> None:
         self._all.remove(outlet)
+        self._changed.set()
 
     def wanted(self, drone_id: int) -> bool:
         return any(outlet.drone_id in (None, drone_id) for outlet in self._all)
@@ -253,7 +277,17 @@ class _Outlets(Generic[T]):
                 outlet.waiting.append(what)
                 outlet.news.set()
 
+    @property
+    def is_read(self) -> bool:
+        """Whether every reader waits for the next."""
+        return not any(outlet.waiting or outlet.news.is_set() for outlet in self._all)
+
+    @property
+    def has_readers(self) -> bool:
+        return bool(self._all)
+
     def close(self) -> None:
+        self._closed = True
         for outlet in self._all:
             outlet.closed = True
             outlet.news.set()

@@ -6,11 +6,12 @@ them are too much to hold; they are read when they are shown.
 
 from __future__ import annotations
 
+import heapq
 import math
 import os
 import tempfile
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
 from typing import NamedTuple
@@ -85,6 +86,8 @@ class Tracked:
     blobs: list[Blob] = field(default_factory=list)
     told: list[float] = field(default_factory=list)
     shift: float = 0.0
+    is_wire: bool = False
+    """Whether a blob is the message as it was sent."""
 
     def add(self, t_utc_s: float, blob: Blob, told: float) -> None:
         if not self.times or t_utc_s > self.times[-1]:  # what comes out of order is nobody's newest
@@ -124,7 +127,9 @@ class HeardWords:
         match address.kind:
             case Kind.TRACKS:
                 head = msgspec.msgpack.decode(sample.payload, type=_TracksHead)
-                tracked = self.tracked.setdefault(drone_id, Tracked(partial(codec.decode, TracksMessage)))
+                tracked = self.tracked.setdefault(
+                    drone_id, Tracked(partial(codec.decode, TracksMessage), is_wire=True)
+                )
                 tracked.add(head.t_utc_s, self._blob_file.append(sample.payload), t)
                 return TimelineEvent(t, drone_id, None)
             case Kind.VIDEO:
@@ -204,6 +209,40 @@ class Timeline:
         if blob is None or life is None or t - told > max_age:
             return None
         return self._read(life, blob)
+
+    def samples(self, *, pictures: bool = False) -> Iterator[Sample]:
+        """All messages as on the wire, in order of arrival [UTC, s]; what cannot be read is left out. pictures: in
+        video messages.
+        """
+        told = (self._told(drone_id, life) for drone_id, lives in self.tracked.items() for life in lives)
+        yield from heapq.merge(self._said(pictures=pictures), *told, key=lambda sample: sample.arrived)
+
+    def _told(self, drone_id: int, life: Tracked) -> Iterator[Sample]:
+        key = keys.key(self.team, Kind.TRACKS, drone_id)
+        for number, (t, blob) in enumerate(zip(life.told, life.blobs, strict=True)):
+            if life.is_wire:
+                payload = self.blob_file.get(blob)
+            elif (message := self._read(life, blob)) is not None:
+                payload = codec.encode(
+                    msgspec.structs.replace(message, sequence=number, t_utc_s=message.t_utc_s + life.shift)
+                )
+            else:
+                continue
+            yield Sample(key, payload, True, t + life.shift)
+
+    def _said(self, *, pictures: bool) -> Iterator[Sample]:
+        for number, event in enumerate(self.events):
+            if event.sample is None:
+                continue
+            address = keys.parse(event.sample.key)
+            if address is None or address.kind is not Kind.VIDEO:
+                yield event.sample
+                continue
+            view = codec.decode(VideoMessage, event.sample.payload)
+            jpeg = self.blob_file.get(event.picture) if pictures and event.picture is not None else b""
+            yield event.sample._replace(
+                payload=codec.encode(msgspec.structs.replace(view, frame=number, jpeg=jpeg))
+            )
 
     def _read(self, life: Tracked, blob: Blob) -> TracksMessage | None:
         try:

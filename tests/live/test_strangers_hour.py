@@ -225,6 +225,12 @@ def test_a_flight_that_is_listened_to_recorded_replayed_and_looked_at(stranger: 
     json.loads((stranger.folder / "replay.json").read_text())
     stranger.types("swarmtrack plot flight")
     assert (stranger.folder / "flight.png").stat().st_size > 20_000
+    said = stranger.types("swarmtrack log csv flight --out tables")
+    for name in ("tracks", "health", "ego", "truth"):
+        assert len((stranger.folder / "tables" / f"{name}.csv").read_text().splitlines()) > 2, said
+    shutil.copy(DOCS / "examples" / "plot_flight.py", stranger.folder)
+    stranger.types("python plot_flight.py tables")
+    assert (stranger.folder / "tables" / "paths.png").stat().st_size > 10_000
     assert "no pictures" in stranger.types("swarmtrack replay flight --detect", 1, 2)
     page = stranger.start("swarmtrack monitor --recording flight --port 0")
     assert page.stdout is not None
