@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 from datetime import UTC, datetime
 from itertools import count
@@ -172,10 +171,14 @@ def _free_folder(args: argparse.Namespace, suffix: str, own: set[str]) -> Path:
             raise RecordingError(
                 f"--out {out}: already exists, expected a new folder, or --force to replace it"
             )
-        found = list(out.iterdir()) if out.is_dir() else [out]
-        if not out.is_dir() or not all(any(file.match(each) for each in own) for file in found):
+        found = list(out.iterdir()) if out.is_dir() else []
+        written = [file for file in found if any(file.match(each) for each in own)]
+        if not out.is_dir() or (found and not written):
             raise RecordingError(
                 f"--out {out}: is no output of swarmtrack log {suffix}, so --force does not replace it"
             )
-        shutil.rmtree(out)
+        for file in written:
+            file.unlink()
+        if len(written) == len(found):
+            out.rmdir()
     return out

@@ -170,8 +170,10 @@ def test_a_folder_of_something_else_is_not_replaced(heard, tmp_path, capsys):
     assert swarmtrack.main(command) == 0
     assert swarmtrack.main(command) != 0
     assert "--force" in capsys.readouterr().err
-    assert swarmtrack.main([*command, "--force"]) == 0
     (out / "letter.txt").write_text("mine")
+    assert swarmtrack.main([*command, "--force"]) == 0
+    for tables in out.glob("*.csv"):
+        tables.unlink()
     assert swarmtrack.main([*command, "--force"]) != 0
     assert "is no output of swarmtrack log csv" in capsys.readouterr().err
     assert (out / "letter.txt").read_text() == "mine"
