@@ -44,6 +44,7 @@ GROUPS = {
             "run recorded flights through perception again, at full speed",
         ),
         "plot": ("swarmtrack.agents.plot", "draw a recorded flight: map, distances, names, errors"),
+        "review": ("swarmtrack.agents.review", "review a recorded flight: what was wrong, on one page"),
         "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
         "import": ("swarmtrack.agents.import_flight", "make a recording from a telemetry log and a video"),
     },

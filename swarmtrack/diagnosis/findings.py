@@ -554,10 +554,10 @@ FAULTS: dict[str, Fault] = {
 }  # fmt: skip
 
 
-def markdown_table() -> str:
-    """All of `FAULTS` as a Markdown table, with … for what is filled in."""
+def markdown_table(faults: Mapping[str, Fault] = FAULTS) -> str:
+    """All faults as a Markdown table, with … for what is filled in."""
     rows = ["| fault | level | finding | remedy |", "|---|---|---|---|"]
-    for name, (level, found, remedy, instead) in FAULTS.items():
+    for name, (level, found, remedy, instead) in faults.items():
         remedies = [remedy, *(f"*{where.replace(' ', ', ')}:* {text}" for where, text in instead.items())]
         words = [
             re.sub(r"\{[^}]*\}", "…", text).replace("|", "\\|") for text in (found, " · ".join(remedies))
@@ -574,9 +574,11 @@ def skipped(check: str, found: str) -> Finding:
     return Finding(check, Level.SKIPPED, found)
 
 
-def fault(name: str, *, setting: Sequence[str] = (), **values: object) -> Finding:
-    """The named fault with its words filled in; setting: selects the remedy, best first."""
-    level, found, remedy, instead = FAULTS[name]
+def fault(
+    name: str, *, setting: Sequence[str] = (), of: Mapping[str, Fault] = FAULTS, **values: object
+) -> Finding:
+    """The named fault with its words filled in; setting: selects the remedy, best first; of: the table it is in."""
+    level, found, remedy, instead = of[name]
     check = name.partition(".")[0]
     remedy = next((instead[key] for key in setting if key in instead), remedy)
     return Finding(check, level, found.format(**values), remedy.format(**values), name)

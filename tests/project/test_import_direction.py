@@ -37,7 +37,7 @@ LAYERS: list[set[str]] = [
     {"lab.world", "lab.score", "lab.autopilots", "lab.scenarios", "lab.sources"},
     {"training", "lab.swarm"},
     {"replay"},
-    {"monitor", "client"},
+    {"monitor", "client", "review"},
     {"benchmarks"},
     {"agents"},
 ]
