@@ -212,8 +212,16 @@ def check_autopilot(facts: AutopilotFacts) -> list[Finding]:
     got_hz = numbers.get("imu_rate_hz", 0.0) if facts.got_hz is None else facts.got_hz
     if not facts.status.ok:
         name = _named(AUTOPILOT_TROUBLES, text, "autopilot.broken")
-        rates = {"got_hz": got_hz, "asked_hz": asked_hz}
-        return [fault(name, setting=setting, reason=_reason(text), seconds=facts.seconds, **rates)]
+        return [
+            fault(
+                name,
+                setting=setting,
+                reason=_reason(text),
+                seconds=facts.seconds,
+                got_hz=got_hz,
+                asked_hz=asked_hz,
+            )
+        ]
     findings = []
     if facts.live and 0.0 < got_hz < RATE_ENOUGH_SHARE * asked_hz:
         slow = (

@@ -9,7 +9,7 @@ fault are one line, of all the drones that have it. Lines are ordered by severit
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
@@ -471,10 +471,10 @@ def _unnamed(drone: DroneFlight, naming: Naming) -> list[FlightFinding]:
     seconds = sum(span.end - span.begin for span in spans)
     if seconds < UNNAMED_S:
         return []
-    reasons: Counter[str] = Counter()
+    reasons: defaultdict[str, float] = defaultdict(float)
     for span in spans:
-        reasons[span.why] += span.end - span.begin  # type: ignore[assignment]
-    why = reasons.most_common(1)[0][0]
+        reasons[span.why] += span.end - span.begin
+    why = max(reasons, key=lambda reason: reasons[reason])
     finding = flight_fault("names.unknown", other=naming.teammate, seconds=seconds, why=why)
     return [FlightFinding(drone.drone_id, finding, spans[0].begin, spans[-1].end, seconds)]
 

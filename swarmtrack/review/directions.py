@@ -8,6 +8,7 @@ offset a turned camera, or a turned heading.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ FARTHEST_SIDE_DEG = 85.0  # beyond it a direction has no place in the image of a
 
 
 class Misalignment(NamedTuple):
-    """scale: of angles from the image's centre; wrong_scale: whether it is known to be off; angle_deg: of the offset."""
+    """scale: of angles from the image's centre; wrong_scale: it is known to be off; angle_deg: of the offset."""
 
     scale: float
     wrong_scale: bool
@@ -37,13 +38,13 @@ class Misalignment(NamedTuple):
 
 def place(drone: DroneFlight, teammate: int, t: float) -> Array | None:
     """Where a teammate reported to be at t, (3,) m; None where that is too long ago."""
-    said = [one for one in drone.heard if one.observer == teammate and abs(one.sent_t - t) <= PLACE_AGE_S]
-    before = max((one for one in said if one.sent_t <= t), key=lambda one: one.sent_t, default=None)
-    after = min((one for one in said if one.sent_t > t), key=lambda one: one.sent_t, default=None)
-    if before is None or after is None:
-        only = before or after
-        return None if only is None else only.position
-    share = (t - before.sent_t) / (after.sent_t - before.sent_t)
+    said = drone.reports_of(teammate)
+    k = bisect_right(said, t, key=lambda one: one.sent_t)
+    near = [one for one in said[max(0, k - 1) : k + 1] if abs(one.sent_t - t) <= PLACE_AGE_S]
+    if len(near) < 2:
+        return near[0].position if near else None
+    before, after = near
+    share = (t - before.sent_t) / max(after.sent_t - before.sent_t, 1e-9)
     return before.position + share * (after.position - before.position)
 
 

@@ -113,6 +113,15 @@ class DroneFlight:
     damage: list[str] = field(default_factory=list)
     refused: int = 0
 
+    _reports: dict[int, list[Heard]] = field(default_factory=dict)
+
+    def reports_of(self, teammate: int) -> list[Heard]:
+        """Of one teammate, in the order in which they were sent. Once asked, all must have been heard."""
+        if teammate not in self._reports:
+            said = [one for one in self.heard if one.observer == teammate]
+            self._reports[teammate] = sorted(said, key=lambda one: one.sent_t)
+        return self._reports[teammate]
+
     @property
     def begin(self) -> float:
         return min((life.begin for life in self.lives), default=0.0)

@@ -136,6 +136,7 @@ def _true_one(flight: Flight, drone: DroneFlight, scan: SeenScan, look: Look) ->
             ray = (there - here) / max(float(np.linalg.norm(there - here)), 1e-6)
             off[other] = math.degrees(math.acos(min(1.0, max(-1.0, float(ray @ towards)))))
     nearest = min(off, key=lambda other: off[other], default=None)
-    if nearest is None or off[nearest] > NEAR_DEG or off.get(look.identity, math.inf) < FAR_DEG:  # type: ignore[call-overload]
+    called = off.get(look.identity, math.inf) if isinstance(look.identity, int) else math.inf
+    if nearest is None or off[nearest] > NEAR_DEG or called < FAR_DEG:
         return None
     return nearest

@@ -123,7 +123,7 @@ def read_flight(paths: Sequence[Path], progress: Progress | None = None) -> Flig
 
 def _joined(team: str, sources: Sequence[_Own | _Swarm], moved: Sequence[Shift], begin: float) -> Flight:
     drones: dict[int, DroneFlight] = {}
-    truth: dict[int, Array] = {}
+    truth: Mapping[int, Array] = {}
     clocks: dict[int, float] = {}
     damage: list[str] = []
     for source, shift in zip(sources, moved, strict=True):
@@ -274,7 +274,7 @@ class _Own:
         flight = self._flight
         flight.lives = [Life(self.recording.preface["boot"], self.first + offset, self._last + offset)]
         flight.damage = self.recording.damage
-        flight.frames = np.array(self._frames, dtype=float).reshape(-1, 2) + [offset, 0.0]
+        flight.frames = np.array(self._frames, dtype=float).reshape(-1, 2) + np.array([offset, 0.0])
         flight.imu = np.array(self._imu) + offset
         flight.placed, flight.placeless = (np.array(self._placed[one]) + offset for one in (True, False))
         flight.sent = {key: t + self._offset + offset for key, t in self.times.sent.items()}
@@ -373,7 +373,7 @@ class _Swarm:
                 f"{self.recording.folder}: {FLIGHT_PLAN}: epoch_s: {error!r}, expected s"
             ) from None
         return {
-            drone_id: np.array(sorted(rows)) + [epoch, 0.0, 0.0, 0.0]
+            drone_id: np.array(sorted(rows)) + np.array([epoch, 0.0, 0.0, 0.0])
             for drone_id, rows in sorted(self._truth.items())
         }
 
