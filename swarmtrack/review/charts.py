@@ -10,7 +10,7 @@ import numpy as np
 
 from swarmtrack.messages import Array
 from swarmtrack.outputs.palette import colour_of
-from swarmtrack.review.flight import DroneFlight, Flight
+from swarmtrack.review.flight import DroneFlight, ReviewedFlight
 from swarmtrack.review.names import namings
 
 Chart = dict[str, Any]
@@ -19,11 +19,11 @@ Series = dict[str, Any]
 MOST_POINTS = 1500  # of one line: more than a screen has columns
 BREAK_S = 1.5  # s without a value: the line is broken
 BUCKET_S = 1.0  # s of one value of a rate
-COLOURS = {
+STATE_COLOURS = {
     "wrong": "#ff5a5f", "unnamed": "#c8c8c8", "undetected": "#7a5c1e", "away": "#333d47", "blind": "#5d3a6e",
     "held": "#f4b740", "flies": "#35c28f",
 }  # fmt: skip
-STATES = {
+NAME_STATES = {
     "unnamed": "track without a name",
     "undetected": "in view, no track",
     "away": "out of view, or unknown",
@@ -33,7 +33,7 @@ STATES = {
 DASHES = (None, [6, 3], [2, 3], [9, 3, 2, 3])
 
 
-def charts(flight: Flight) -> list[Chart]:
+def charts(flight: ReviewedFlight) -> list[Chart]:
     """All that hold anything."""
     made = [_names(flight), _distances(flight), _nees(flight), _camera_clocks(flight)]
     made += [
@@ -52,7 +52,7 @@ def colour(drone_id: int) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour_of(drone_id))
 
 
-def _names(flight: Flight) -> Chart:
+def _names(flight: ReviewedFlight) -> Chart:
     rows = []
     states = set()
     for drone in flight.drones.values():
@@ -61,18 +61,20 @@ def _names(flight: Flight) -> Chart:
             for span in naming.spans:
                 states.add(span.state)
                 named = span.state == "named"
-                shade = colour(naming.teammate) if named else COLOURS[span.state]
-                words = f"named drone {naming.teammate}" if named else f"{STATES[span.state]}: {span.why}"
+                shade = colour(naming.teammate) if named else STATE_COLOURS[span.state]
+                words = (
+                    f"named drone {naming.teammate}" if named else f"{NAME_STATES[span.state]}: {span.why}"
+                )
                 spans.append([round(span.begin, 2), round(span.end, 2), shade, words])
             name = f"drone {naming.observer} sees drone {naming.teammate}"
             rows.append({"name": name, "short": f"{naming.observer} sees {naming.teammate}", "spans": spans})
     key = [["named, in the drone's colour", "#56b4e9", "box"]]
-    key += [[words, COLOURS[state], "box"] for state, words in STATES.items() if state in states]
+    key += [[words, STATE_COLOURS[state], "box"] for state, words in NAME_STATES.items() if state in states]
     about = "Who was named by whom, and why not: point at a span."
     return {"title": "Names", "about": about, "rows": rows, "key": key}
 
 
-def _distances(flight: Flight) -> Chart:
+def _distances(flight: ReviewedFlight) -> Chart:
     series: list[Series] = []
     for number, drone in enumerate(flight.drones.values()):
         by_name: dict[int, list[tuple[float, float, float, float]]] = {}
@@ -95,12 +97,12 @@ def _distances(flight: Flight) -> Chart:
     return {**_chart("Distances, m", series, unit="m", low=0.0), "about": about}
 
 
-def _true_offset(flight: Flight, observer: int, whom: int, t: float) -> Array | None:
+def _true_offset(flight: ReviewedFlight, observer: int, whom: int, t: float) -> Array | None:
     here, there = flight.true_place(observer, t), flight.true_place(whom, t)
     return None if here is None or there is None else there - here
 
 
-def _nees(flight: Flight) -> Chart:
+def _nees(flight: ReviewedFlight) -> Chart:
     series = []
     for drone in flight.drones.values():
         rows = []
@@ -122,7 +124,7 @@ def _nees(flight: Flight) -> Chart:
     return {**chart, "about": about}
 
 
-def _camera_clocks(flight: Flight) -> Chart:
+def _camera_clocks(flight: ReviewedFlight) -> Chart:
     series: list[Series] = []
     for drone in flight.drones.values():
         rows = [
@@ -138,7 +140,7 @@ def _camera_clocks(flight: Flight) -> Chart:
     return {**_chart("Camera clock offset, ms", series, unit="ms"), "about": about}
 
 
-def _rates(flight: Flight) -> list[Chart]:
+def _rates(flight: ReviewedFlight) -> list[Chart]:
     frames, gyro = [], []
     for drone in flight.drones.values():
         name, shade = f"drone {drone.drone_id}", colour(drone.drone_id)
@@ -152,7 +154,7 @@ def _rates(flight: Flight) -> list[Chart]:
     ]
 
 
-def _messages(flight: Flight) -> Chart:
+def _messages(flight: ReviewedFlight) -> Chart:
     """A row for each direction: filled where a report arrived, red where one was sent that did not."""
     rows = []
     for drone in flight.drones.values():
@@ -170,18 +172,18 @@ def _messages(flight: Flight) -> Chart:
                 for one in arrived.values()
             ]
             spans += [
-                [round(t, 2), round(t + 0.3, 2), COLOURS["wrong"], "sent, and did not arrive"]
+                [round(t, 2), round(t + 0.3, 2), STATE_COLOURS["wrong"], "sent, and did not arrive"]
                 for key, t in other.sent.items()
                 if key not in arrived
             ]
             name = f"drone {other.drone_id} to drone {drone.drone_id}"
             spans.sort()
             rows.append({"name": name, "short": f"{other.drone_id} to {drone.drone_id}", "spans": spans})
-    key = [["arrived", "#35c28f", "box"], ["sent, and did not arrive", COLOURS["wrong"], "box"]]
+    key = [["arrived", "#35c28f", "box"], ["sent, and did not arrive", STATE_COLOURS["wrong"], "box"]]
     return {"title": "Messages", "about": "Reports of sightings, once a second.", "rows": rows, "key": key}
 
 
-def _links(flight: Flight) -> Chart:
+def _links(flight: ReviewedFlight) -> Chart:
     rows = []
     for drone in flight.drones.values():
         spans: dict[str, list[list[Any]]] = {}
@@ -189,7 +191,7 @@ def _links(flight: Flight) -> Chart:
             end = drone.health[k + 1][0] if k + 1 < len(drone.health) else t + 1.0
             for link in message.links:
                 name = "camera" if "://" in link.name else link.name
-                shade = "#2b7a5c" if link.ok else COLOURS["wrong"]
+                shade = "#2b7a5c" if link.ok else STATE_COLOURS["wrong"]
                 of = spans.setdefault(name, [])
                 if of and of[-1][2] == shade and t - of[-1][1] < 0.1:
                     of[-1][1] = round(end, 2)
@@ -200,15 +202,15 @@ def _links(flight: Flight) -> Chart:
             rows.append(
                 {"name": f"drone {drone.drone_id} {name}", "short": f"{drone.drone_id} {name}", "spans": of}
             )
-    key = [["works", "#2b7a5c", "box"], ["does not", COLOURS["wrong"], "box"]]
+    key = [["works", "#2b7a5c", "box"], ["does not", STATE_COLOURS["wrong"], "box"]]
     return {"title": "Links", "about": "As each agent's health reports them.", "rows": rows, "key": key}
 
 
-def _cpu(flight: Flight) -> Chart:
+def _cpu(flight: ReviewedFlight) -> Chart:
     return _of_health(flight, "CPU of the agents, % of a core", lambda message: message.cpu_percent, "%")
 
 
-def _lag(flight: Flight) -> Chart:
+def _lag(flight: ReviewedFlight) -> Chart:
     def lag(message: Any) -> float:
         found = message.latencies.get("loop_lag")
         return math.nan if found is None else 1e3 * float(found.p95_s)
@@ -216,7 +218,7 @@ def _lag(flight: Flight) -> Chart:
     return _of_health(flight, "Waiting for the processor, ms (95 %)", lag, "ms")
 
 
-def _of_health(flight: Flight, title: str, value: Any, unit: str) -> Chart:
+def _of_health(flight: ReviewedFlight, title: str, value: Any, unit: str) -> Chart:
     series = []
     for drone in flight.drones.values():
         rows = np.array([(t, value(message)) for t, message in drone.health]).reshape(-1, 2)
@@ -225,12 +227,16 @@ def _of_health(flight: Flight, title: str, value: Any, unit: str) -> Chart:
     return _chart(title, series, unit=unit, low=0.0)
 
 
-def _formation(flight: Flight) -> Chart:
+def _formation(flight: ReviewedFlight) -> Chart:
     rows = []
     for drone in flight.drones.values():
         spans: list[list[Any]] = []
         for one in drone.commands:
-            shade = COLOURS["away"] if one.why == "not_engaged" else COLOURS["held" if one.holds else "flies"]
+            shade = (
+                STATE_COLOURS["away"]
+                if one.why == "not_engaged"
+                else STATE_COLOURS["held" if one.holds else "flies"]
+            )
             t = round(one.t, 2)
             if spans and spans[-1][3] == one.text and t - spans[-1][1] < BREAK_S:
                 spans[-1][1] = t
@@ -239,7 +245,7 @@ def _formation(flight: Flight) -> Chart:
         if spans:
             name = f"drone {drone.drone_id}"
             rows.append({"name": name, "short": name, "spans": spans})
-    key = [["flies", COLOURS["flies"], "box"], ["holds", COLOURS["held"], "box"]]
+    key = [["flies", STATE_COLOURS["flies"], "box"], ["holds", STATE_COLOURS["held"], "box"]]
     return {"title": "Formation", "about": "What each follower did, and why.", "rows": rows, "key": key}
 
 

@@ -25,22 +25,22 @@ from swarmtrack.diagnosis.surroundings import CLOCKS_APART, in_words
 from swarmtrack.messages import Array, LinkStatus
 from swarmtrack.review.directions import misaligned
 from swarmtrack.review.faults import flight_fault
-from swarmtrack.review.flight import Command, DroneFlight, Flight
+from swarmtrack.review.flight import DroneFlight, FollowerCommand, ReviewedFlight
 from swarmtrack.review.names import Naming, namings
 from swarmtrack.wire.health import HealthMessage, LinkHealth
 
-SETTLE_S = 5.0  # s from an agent's start, in which links may still be opening
+LINK_OPENING_S = 5.0  # s from an agent's start, in which links may still be opening
 LASTING_S = 2.0  # s that a warning must last
 MOMENT_S = 10.0  # s: what happens in an instant counts as long as its consequences take
 FAILURE_WEIGHT = 100.0  # of a second of failure, in seconds of warning
 HEALTH_GAP_S = 3.0  # s between two health messages, at most, that belong together
 CAMERA_GAP_S, GYRO_GAP_S, PLACE_GAP_S = 2.0, 0.5, 1.0
 FEWEST_FRAMES_HZ = 4.0
-SILENT_S = 3.0  # s of silence before the flight's end, from which on a drone is gone
+DRONE_GONE_S = 3.0  # s of silence before the flight's end, from which on a drone is gone
 DROPPED_S = 4.0  # s without any of a teammate's messages, which are sent once a second
 LOSS_SHARE, LOSS_LEAST = 0.1, 10
-CLOCK_STEP_S = 1.0
-CLUTTER_PER_TEAMMATE, CLUTTER_FREE = 3.0, 3.0
+WALL_STEP_S = 1.0
+CLUTTER_PER_TEAMMATE, CLUTTER_FREE = 1.0, 3.0  # detections per frame, beyond which a frame is cluttered
 BUSY_LAG_S, BUSY_CPU_PERCENT = 0.1, 95.0
 UNNAMED_S, WRONG_S = 5.0, 0.5
 NOT_CAMERAS = frozenset({"autopilot", "detector", "zenoh", "memory", "recording", "formation"})
@@ -60,9 +60,14 @@ EXPLAINED_BY: Mapping[str, str] = {
     "camera.rate": r"camera\.(?!rate)",
     "autopilot.gap": r"autopilot\.(rebooted|silent|lost|no_imu|unreachable|missing|signature)",
     "pose.doubt": r"pose\.(pads|heading|start)|mount\.direction|calibration\.scale",
-    "mount.direction": r"pose\.(pads|heading|start)",
-    "team.loss": r"team\.(deaf|dropped)",
+    "team.loss": r"team\.(deaf|dropped|restarted)",
+    "team.dropped": r"team\.restarted",
 }
+
+
+# Directions say nothing where any drone of the team is known not to be where it reports to be.
+DIRECTIONS = frozenset({"mount.direction", "calibration.scale"})
+MISPLACED = re.compile(r"pose\.(pads|heading|start)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +87,7 @@ class FlightFinding:
         return factor * max(self.seconds, MOMENT_S if self.finding.level is Level.FAILURE else 0.0)
 
 
-class Line(NamedTuple):
+class ReviewLine(NamedTuple):
     """All findings of one fault, the weightiest first."""
 
     findings: tuple[FlightFinding, ...]
@@ -100,7 +105,7 @@ class Line(NamedTuple):
         return sum(one.weight for one in self.findings)
 
 
-def review(flight: Flight) -> list[Line]:
+def review(flight: ReviewedFlight) -> list[ReviewLine]:
     """The lines, most important first."""
     found: list[FlightFinding] = []
     for drone in flight.drones.values():
@@ -114,19 +119,23 @@ def review(flight: Flight) -> list[Line]:
     by_fault: defaultdict[str, list[FlightFinding]] = defaultdict(list)
     for one in found:
         by_fault[one.finding.fault or f"{one.finding.check} {one.finding.found}"].append(one)
-    lines = [Line(tuple(sorted(of, key=lambda one: -one.weight))) for of in by_fault.values()]
+    lines = [ReviewLine(tuple(sorted(of, key=lambda one: -one.weight))) for of in by_fault.values()]
     return sorted(lines, key=lambda line: (-line.weight, line.first.begin))
 
 
 def _unexplained(found: list[FlightFinding]) -> list[FlightFinding]:
+    misplaced = any(MISPLACED.match(one.finding.fault) for one in found)
+
     def explained(one: FlightFinding) -> bool:
+        if misplaced and one.finding.fault in DIRECTIONS:
+            return True
         causes = EXPLAINED_BY.get(one.finding.fault)
         return causes is not None and any(
             other.drone_id == one.drone_id
             and other is not one
             and re.match(causes, other.finding.fault) is not None
-            and other.begin <= one.end + SETTLE_S
-            and one.begin <= other.end + SETTLE_S
+            and other.begin <= one.end + LINK_OPENING_S
+            and one.begin <= other.end + LINK_OPENING_S
             for other in found
         )
 
@@ -134,7 +143,7 @@ def _unexplained(found: list[FlightFinding]) -> list[FlightFinding]:
 
 
 def _whole(
-    drone_id: int | None, of: DroneFlight | Flight, findings: Iterable[Finding]
+    drone_id: int | None, of: DroneFlight | ReviewedFlight, findings: Iterable[Finding]
 ) -> list[FlightFinding]:
     """Findings that hold from the beginning to the end."""
     begin, end = (of.begin, of.end) if isinstance(of, DroneFlight) else (0.0, of.seconds)
@@ -149,7 +158,7 @@ def _of_health(drone: DroneFlight) -> list[FlightFinding]:
     said: defaultdict[str, list[tuple[float, float, Finding]]] = defaultdict(list)
     frames: dict[str, tuple[float, float]] = {}
     for k, (t, message) in enumerate(drone.health):
-        if any(t < life.begin + SETTLE_S for life in drone.lives if life.begin <= t):
+        if any(t < life.begin + LINK_OPENING_S for life in drone.lives if life.begin <= t):
             continue
         after = drone.health[k + 1][0] if k + 1 < len(drone.health) else t + 1.0
         lasts = min(after - t, HEALTH_GAP_S)
@@ -265,7 +274,7 @@ def _of_counters(drone: DroneFlight) -> list[FlightFinding]:
 def _of_clock(drone: DroneFlight) -> list[FlightFinding]:
     off = np.array([(t, message.t_utc_s - t) for t, message in drone.health]).reshape(-1, 2)
     steps = np.diff(off[:, 1])
-    if not len(steps) or np.abs(steps).max() < CLOCK_STEP_S:
+    if not len(steps) or np.abs(steps).max() < WALL_STEP_S:
         return []
     k = int(np.abs(steps).argmax())
     finding = flight_fault("clock.step", step_s=float(steps[k]))
@@ -305,7 +314,7 @@ def _of_gaps(drone: DroneFlight) -> list[FlightFinding]:
         finding = flight_fault("autopilot.place_lost", seconds=seconds)
         found.append(FlightFinding(drone.drone_id, finding, lost[0][0], lost[-1][1], seconds))
     lasted = drone.end - drone.begin
-    if drone.recorded and lasted > SETTLE_S and 0 < len(drone.frames) < FEWEST_FRAMES_HZ * lasted:
+    if drone.recorded and lasted > LINK_OPENING_S and 0 < len(drone.frames) < FEWEST_FRAMES_HZ * lasted:
         finding = flight_fault("camera.rate", got_hz=len(drone.frames) / lasted)
         found += _whole(drone.drone_id, drone, [finding])
     return found
@@ -322,8 +331,8 @@ def _of_moments(drone: DroneFlight) -> list[FlightFinding]:
     lives = sorted(drone.lives, key=lambda life: life.begin)
     overlaps = [b for a, b in pairwise(lives) if b.begin < a.end - 1.0]
     if overlaps:
-        boots = ", ".join(life.boot for life in lives)
-        finding = fault("network.id_clash", count=len(lives), id=drone.drone_id, boots=boots)
+        words = ", ".join(life.boot for life in lives)
+        finding = fault("network.id_clash", count=len(lives), id=drone.drone_id, boots=words)
         found += _whole(drone.drone_id, drone, [finding])
     elif len(lives) > 1:
         finding = flight_fault("team.restarted", count=len(lives) - 1)
@@ -339,7 +348,7 @@ def _of_files(drone: DroneFlight) -> list[FlightFinding]:
 
 
 def _of_commands(drone: DroneFlight) -> list[FlightFinding]:
-    holds: defaultdict[str, list[tuple[Command, float]]] = defaultdict(list)
+    holds: defaultdict[str, list[tuple[FollowerCommand, float]]] = defaultdict(list)
     for one, following in pairwise(drone.commands):
         if one.holds and one.why not in ("not_engaged", "entry"):
             holds[one.why].append((one, min(following.t - one.t, 1.0)))
@@ -356,31 +365,33 @@ def _of_commands(drone: DroneFlight) -> list[FlightFinding]:
 # --- one drone among the others -------------------------------------------------------
 
 
-def _of_clutter(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
+def _of_clutter(flight: ReviewedFlight, drone: DroneFlight) -> list[FlightFinding]:
     teammates = len((flight.drones.keys() | {who for _, who in drone.announced}) - {drone.drone_id})
     if not len(drone.frames):
         return []
-    count = float(np.median(drone.frames[:, 1]))
-    if count <= CLUTTER_FREE + CLUTTER_PER_TEAMMATE * teammates:
+    full = drone.frames[drone.frames[:, 1] > CLUTTER_FREE + CLUTTER_PER_TEAMMATE * teammates]
+    period_s = float(np.median(np.diff(drone.frames[:, 0]))) if len(drone.frames) > 1 else 0.0
+    seconds = len(full) * period_s
+    if seconds < LASTING_S:
         return []
-    finding = flight_fault("detector.clutter", count=count, teammates=teammates)
-    return _whole(drone.drone_id, drone, [finding])
+    finding = flight_fault("detector.clutter", count=float(np.median(full[:, 1])), teammates=teammates)
+    return [FlightFinding(drone.drone_id, finding, float(full[0, 0]), float(full[-1, 0]), seconds)]
 
 
-def _of_silence(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
+def _of_silence(flight: ReviewedFlight, drone: DroneFlight) -> list[FlightFinding]:
     """Its recording ended before the others', and they heard nothing any more."""
     heard_last = max(
         (one.t for other in flight.drones.values() for one in other.heard if one.observer == drone.drone_id),
         default=drone.end,
     )
     silent_s = flight.seconds - max(drone.end, heard_last)
-    if silent_s < SILENT_S:
+    if silent_s < DRONE_GONE_S:
         return []
     finding = flight_fault("team.gone", seconds=silent_s)
     return [FlightFinding(drone.drone_id, finding, flight.seconds - silent_s, flight.seconds, silent_s)]
 
 
-def _of_strangers(flight: Flight) -> list[FlightFinding]:
+def _of_strangers(flight: ReviewedFlight) -> list[FlightFinding]:
     """Teammates of whom there is no recording, and who left."""
     left: dict[int, float] = {}
     for drone in flight.drones.values():
@@ -395,15 +406,15 @@ def _of_strangers(flight: Flight) -> list[FlightFinding]:
             whom, flight_fault("team.gone", seconds=flight.seconds - t), t, flight.seconds, flight.seconds - t
         )
         for whom, t in left.items()
-        if flight.seconds - t >= SILENT_S
+        if flight.seconds - t >= DRONE_GONE_S
     ]
 
 
-def _of_messages(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
+def _of_messages(flight: ReviewedFlight, drone: DroneFlight) -> list[FlightFinding]:
     """The reports that a drone received of those that each teammate recorded as sent."""
     found = []
     for other in flight.drones.values():
-        begin = max(drone.begin, other.begin) + SETTLE_S
+        begin = max(drone.begin, other.begin) + LINK_OPENING_S
         end = min(drone.end, other.end) - 1.0
         sent = {key: t for key, t in other.sent.items() if begin <= t <= end}
         if other is drone or not drone.recorded or len(sent) < 5:
@@ -426,7 +437,7 @@ def _of_messages(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
     return found
 
 
-def _of_other_clocks(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
+def _of_other_clocks(flight: ReviewedFlight, drone: DroneFlight) -> list[FlightFinding]:
     shifts = flight.clock_shifts
     if drone.drone_id not in shifts or len(shifts) < 2:
         return []
@@ -440,7 +451,7 @@ def _of_other_clocks(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
     )
 
 
-def _of_directions(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
+def _of_directions(flight: ReviewedFlight, drone: DroneFlight) -> list[FlightFinding]:
     found = misaligned(drone)
     if found is None:
         return []
@@ -451,7 +462,7 @@ def _of_directions(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
     return []
 
 
-def _of_names(flight: Flight, drone: DroneFlight) -> list[FlightFinding]:
+def _of_names(flight: ReviewedFlight, drone: DroneFlight) -> list[FlightFinding]:
     found = []
     for naming in namings(flight, drone):
         wrong = [span for span in naming.spans if span.state == "wrong"]
@@ -466,7 +477,7 @@ def _unnamed(drone: DroneFlight, naming: Naming) -> list[FlightFinding]:
     spans = [
         span
         for span in naming.spans
-        if span.state in ("unnamed", "undetected") and span.begin > drone.begin + SETTLE_S
+        if span.state in ("unnamed", "undetected") and span.begin > drone.begin + LINK_OPENING_S
     ]
     seconds = sum(span.end - span.begin for span in spans)
     if seconds < UNNAMED_S:
@@ -482,6 +493,6 @@ def _unnamed(drone: DroneFlight, naming: Naming) -> list[FlightFinding]:
 _OF_A_DRONE: tuple[Callable[[DroneFlight], list[FlightFinding]], ...] = (
     _of_health, _of_events, _of_counters, _of_clock, _of_gaps, _of_moments, _of_files, _of_commands,
 )  # fmt: skip
-_OF_THE_TEAM: tuple[Callable[[Flight, DroneFlight], list[FlightFinding]], ...] = (
+_OF_THE_TEAM: tuple[Callable[[ReviewedFlight, DroneFlight], list[FlightFinding]], ...] = (
     _of_clutter, _of_silence, _of_messages, _of_other_clocks, _of_directions, _of_names,
 )  # fmt: skip

@@ -16,10 +16,10 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from swarmtrack.messages import Array
-from swarmtrack.review.flight import DroneFlight, Look, SeenScan
+from swarmtrack.review.flight import ConfirmedLook, DroneFlight, ReviewedScan
 
 PLACE_AGE_S = 1.5  # s of a teammate's newest report
-FARTHEST_DEG = 40.0  # of a track without a name from the teammate that it may be
+FARTHEST_MATCH_DEG = 40.0  # of a track without a name from the teammate that it may be
 FEWEST_DIRECTIONS = 20
 LEAST_SPAN_DEG = 15.0  # of azimuths, for a scale
 SCALE_OFF = 0.08
@@ -48,7 +48,9 @@ def place(drone: DroneFlight, teammate: int, t: float) -> Array | None:
     return before.position + share * (after.position - before.position)
 
 
-def predicted(drone: DroneFlight, scan: SeenScan, where: Array, camera: int | None = None) -> Array | None:
+def predicted(
+    drone: DroneFlight, scan: ReviewedScan, where: Array, camera: int | None = None
+) -> Array | None:
     """Azimuth and elevation (2,) rad in a camera of a place in the team frame; None without a pose, or behind it."""
     if scan.stand is None or not drone.lenses:
         return None
@@ -58,7 +60,7 @@ def predicted(drone: DroneFlight, scan: SeenScan, where: Array, camera: int | No
 
 
 def angles(ray: Array) -> Array | None:
-    """Azimuth and elevation (2,) rad of a ray in camera axes; None beside and behind the camera."""
+    """Azimuth and elevation (2,) rad of a ray in camera axes; None where the camera cannot see."""
     azimuth, elevation = math.atan2(ray[0], ray[2]), math.atan2(ray[1], math.hypot(ray[0], ray[2]))
     if abs(azimuth) > math.radians(FARTHEST_SIDE_DEG):
         return None
@@ -98,7 +100,7 @@ def _fit(measured: Array, expected: Array) -> tuple[float, Array]:
     return scale, measured.mean(axis=0) - scale * expected.mean(axis=0)
 
 
-def _pairs(drone: DroneFlight, scan: SeenScan) -> Iterator[tuple[Array, Array]]:
+def _pairs(drone: DroneFlight, scan: ReviewedScan) -> Iterator[tuple[Array, Array]]:
     """Measured and expected angles of each teammate: by its name, else by which fits best."""
     looks = [look for look in scan.looks if look.bearing is not None]
     expected = {}
@@ -107,7 +109,7 @@ def _pairs(drone: DroneFlight, scan: SeenScan) -> Iterator[tuple[Array, Array]]:
         found = None if where is None else predicted(drone, scan, where)
         if found is not None:
             expected[teammate] = found
-    free: list[Look] = []
+    free: list[ConfirmedLook] = []
     for look in looks:
         at = angles(look.bearing) if look.bearing is not None else None
         if at is None:
@@ -123,5 +125,5 @@ def _pairs(drone: DroneFlight, scan: SeenScan) -> Iterator[tuple[Array, Array]]:
     cost = np.array([[np.linalg.norm(a - b) if a is not None else math.pi for b in there] for a in seen])
     for i, j in zip(*linear_sum_assignment(cost), strict=True):
         at = seen[i]
-        if at is not None and cost[i, j] < math.radians(FARTHEST_DEG):
+        if at is not None and cost[i, j] < math.radians(FARTHEST_MATCH_DEG):
             yield at, there[j]

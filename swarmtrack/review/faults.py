@@ -1,4 +1,4 @@
-"""Faults that only a whole flight shows, beside those of `diagnosis.findings`.
+"""Faults that only a whole flight shows, in addition to those of `diagnosis.findings`.
 
 `python -m swarmtrack.review.faults` prints the table of docs/review.md; a test keeps page and program equal.
 """

@@ -13,7 +13,7 @@ from swarmtrack.messages import Array, Identity
 from swarmtrack.wire.health import HealthMessage
 
 
-class Look(NamedTuple):
+class ConfirmedLook(NamedTuple):
     """One confirmed track at t [s]. probability: of its name.
 
     bearing (3,): unit vector in the axes of its camera; position (3,) m and cov (3, 3) m²: of its teammate from the
@@ -37,12 +37,12 @@ class Stand(NamedTuple):
     world_from_body: Array
 
 
-class SeenScan(NamedTuple):
+class ReviewedScan(NamedTuple):
     """One scan, some of all: confirmed tracks at t [s], and where the drone stood; None where it did not know."""
 
     t: float
     stand: Stand | None
-    looks: tuple[Look, ...]
+    looks: tuple[ConfirmedLook, ...]
     camera: int = 0
 
 
@@ -54,7 +54,7 @@ class Life(NamedTuple):
     end: float
 
 
-class Heard(NamedTuple):
+class ReportedPlace(NamedTuple):
     """A teammate's report of its place that arrived at t [s]. sent_t: when it was exposed. key: which report it is."""
 
     t: float
@@ -64,7 +64,7 @@ class Heard(NamedTuple):
     key: tuple[int, str, int]
 
 
-class Command(NamedTuple):
+class FollowerCommand(NamedTuple):
     """A follower's set point. holds: the drone stops and stays; text: why."""
 
     t: float
@@ -73,7 +73,7 @@ class Command(NamedTuple):
     text: str
 
 
-class Lens(NamedTuple):
+class ReviewedLens(NamedTuple):
     """One camera as its config has it. body_from_camera (3, 3); half_field (2,): tangents of half its field of view."""
 
     body_from_camera: Array
@@ -93,15 +93,15 @@ class DroneFlight:
     recorded: bool = True
     asked_fps: float | None = None
     max_age_s: float = math.inf
-    lenses: tuple[Lens, ...] = ()
+    lenses: tuple[ReviewedLens, ...] = ()
     health: list[tuple[float, HealthMessage]] = field(default_factory=list)
-    scans: list[SeenScan] = field(default_factory=list)
+    scans: list[ReviewedScan] = field(default_factory=list)
     frames: Array = field(default_factory=lambda: np.empty((0, 2)))
     imu: Array = field(default_factory=lambda: np.empty(0))
     placeless: Array = field(default_factory=lambda: np.empty(0))
     """Times of poses without a position."""
     placed: Array = field(default_factory=lambda: np.empty(0))
-    heard: list[Heard] = field(default_factory=list)
+    heard: list[ReportedPlace] = field(default_factory=list)
     sent: dict[tuple[int, str, int], float] = field(default_factory=dict)
     """Its own reports, with their times."""
     alive: list[tuple[float, int, bool]] = field(default_factory=list)
@@ -109,14 +109,14 @@ class DroneFlight:
     reboots: list[float] = field(default_factory=list)
     clashes: list[tuple[float, int, tuple[str, ...]]] = field(default_factory=list)
     announced: list[tuple[float, int]] = field(default_factory=list)
-    commands: list[Command] = field(default_factory=list)
+    commands: list[FollowerCommand] = field(default_factory=list)
     damage: list[str] = field(default_factory=list)
     refused: int = 0
 
-    _reports: dict[int, list[Heard]] = field(default_factory=dict)
+    _reports: dict[int, list[ReportedPlace]] = field(default_factory=dict)
 
-    def reports_of(self, teammate: int) -> list[Heard]:
-        """Of one teammate, in the order in which they were sent. Once asked, all must have been heard."""
+    def reports_of(self, teammate: int) -> list[ReportedPlace]:
+        """Reports of one teammate, in the order of sending; complete only once all have been read."""
         if teammate not in self._reports:
             said = [one for one in self.heard if one.observer == teammate]
             self._reports[teammate] = sorted(said, key=lambda one: one.sent_t)
@@ -132,7 +132,7 @@ class DroneFlight:
 
 
 @dataclass(slots=True)
-class Flight:
+class ReviewedFlight:
     """A flight. begin_utc_s: when its clock began; truth: rows of t, north, east, down by drone, empty where unknown;
     clock_shifts: by drone, how far its wall clock was from the first one's, where messages show it [s]."""
 

@@ -16,13 +16,13 @@ from swarmtrack.diagnosis.findings import Level
 from swarmtrack.diagnosis.surroundings import in_words
 from swarmtrack.plain_text import hide_logins, plain
 from swarmtrack.review.charts import charts
-from swarmtrack.review.checks import FlightFinding, Line
-from swarmtrack.review.flight import Flight
+from swarmtrack.review.checks import FlightFinding, ReviewLine
+from swarmtrack.review.flight import ReviewedFlight
 
-PARTS = Path(__file__).parent / "page"
+PAGE_PARTS = Path(__file__).parent / "page"
 MOST_SHOWN = 10  # lines; the rest is folded
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-PAGE = """<!doctype html>
+REVIEW_PAGE = """<!doctype html>
 <html lang="en"><head><meta charset="utf-8">
 <meta http-equiv="Content-Security-Policy" content="{policy}">
 <meta name="viewport" content="width=device-width,initial-scale=1">
@@ -37,7 +37,7 @@ PAGE = """<!doctype html>
 """
 
 
-def headline(flight: Flight, lines: list[Line]) -> str:
+def headline(flight: ReviewedFlight, lines: list[ReviewLine]) -> str:
     """The flight in one sentence."""
     failures = sum(line.first.finding.level is Level.FAILURE for line in lines)
     warnings = len(lines) - failures
@@ -57,15 +57,15 @@ def clock(t: float) -> str:
     return f"{int(t) // 60}:{int(t) % 60:02d}"
 
 
-def subject(line: Line) -> str:
-    """Whose fault it is."""
+def subject(line: ReviewLine) -> str:
+    """Drones that a line is about, in words."""
     drones = line.drones
     if not drones:
         return "team"
     return f"drone{'s' if len(drones) > 1 else ''} {', '.join(map(str, drones))}"
 
 
-def render(flight: Flight, lines: list[Line]) -> str:
+def render(flight: ReviewedFlight, lines: list[ReviewLine]) -> str:
     """The whole page."""
     begin = datetime.fromtimestamp(flight.begin_utc_s, UTC)
     truth = "with the truth of a simulation" if flight.truth else "without a truth to compare with"
@@ -75,19 +75,19 @@ def render(flight: Flight, lines: list[Line]) -> str:
         about += f"; drones {', '.join(unrecorded)} did not record: shown is what was heard of them"
     title = headline(flight, lines)
     data = {"seconds": round(flight.seconds, 3), "charts": charts(flight)}
-    return PAGE.format(
+    return REVIEW_PAGE.format(
         policy=escape(POLICY),
         title=escape(title),
-        style=(PARTS / "page.css").read_text(encoding="utf-8"),
+        style=(PAGE_PARTS / "page.css").read_text(encoding="utf-8"),
         headline=escape(title),
         about=escape(about),
         lines=_lines(lines),
         data=_json(data),
-        script=(PARTS / "page.js").read_text(encoding="utf-8"),
+        script=(PAGE_PARTS / "page.js").read_text(encoding="utf-8"),
     )
 
 
-def _lines(lines: list[Line]) -> str:
+def _lines(lines: list[ReviewLine]) -> str:
     if not lines:
         return '<p class="fine">No fault was found.</p>'
     first = "".join(map(_item, lines[:MOST_SHOWN]))
@@ -98,7 +98,7 @@ def _lines(lines: list[Line]) -> str:
     return f"<ol>{first}</ol>{more}"
 
 
-def _item(line: Line) -> str:
+def _item(line: ReviewLine) -> str:
     finding = line.first.finding
     others = "".join(
         f"<li>{_text(f'drone {one.drone_id}: {one.finding.found}')} {_when(one)}</li>"
@@ -144,7 +144,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def as_records(lines: list[Line]) -> list[dict[str, Any]]:
+def as_records(lines: list[ReviewLine]) -> list[dict[str, Any]]:
     """The findings for JSON, in their order."""
     return [
         {

@@ -1,4 +1,4 @@
-"""Who was named by whom, and why not. Pure."""
+"""Names that each observer gave over a flight, and the reasons for missing ones. Pure."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.review.directions import place, predicted
-from swarmtrack.review.flight import DroneFlight, Flight, Look, SeenScan
+from swarmtrack.review.flight import ConfirmedLook, DroneFlight, ReviewedFlight, ReviewedScan
 
 SCAN_LASTS_S = 0.6  # s after a scan from which on nothing is known
 IN_VIEW_SHARE = 0.92  # of half the field of view: a drone at the border is half seen
-NEAR_DEG, FAR_DEG = 6.0, 15.0  # from a true direction: it is that one, or it is not
+SAME_DRONE_DEG, OTHER_DRONE_DEG = 6.0, 15.0  # from a true direction: it is that one, or it is not
 
 
 class NameSpan(NamedTuple):
@@ -35,8 +35,8 @@ class Naming(NamedTuple):
     spans: tuple[NameSpan, ...]
 
 
-def namings(flight: Flight, drone: DroneFlight) -> list[Naming]:
-    """Of every teammate."""
+def namings(flight: ReviewedFlight, drone: DroneFlight) -> list[Naming]:
+    """One for every teammate."""
     everybody = flight.drones.keys() | flight.truth.keys() | {who for _, who in drone.announced}
     return [
         Naming(drone.drone_id, teammate, _spans(flight, drone, teammate))
@@ -44,7 +44,7 @@ def namings(flight: Flight, drone: DroneFlight) -> list[Naming]:
     ]
 
 
-def _spans(flight: Flight, drone: DroneFlight, teammate: int) -> tuple[NameSpan, ...]:
+def _spans(flight: ReviewedFlight, drone: DroneFlight, teammate: int) -> tuple[NameSpan, ...]:
     spans: list[NameSpan] = []
 
     def add(begin: float, end: float, state: str, why: str) -> None:
@@ -66,7 +66,7 @@ def _spans(flight: Flight, drone: DroneFlight, teammate: int) -> tuple[NameSpan,
     return tuple(spans)
 
 
-def _state(flight: Flight, drone: DroneFlight, scan: SeenScan, teammate: int) -> tuple[str, str]:
+def _state(flight: ReviewedFlight, drone: DroneFlight, scan: ReviewedScan, teammate: int) -> tuple[str, str]:
     named = next((look for look in scan.looks if look.identity == teammate), None)
     if named is not None:
         whom = _true_one(flight, drone, scan, named)
@@ -89,7 +89,7 @@ def _state(flight: Flight, drone: DroneFlight, scan: SeenScan, teammate: int) ->
     return "unnamed", _why_unnamed(drone, scan.t, free)
 
 
-def _in_view(drone: DroneFlight, scan: SeenScan, where: object) -> bool:
+def _in_view(drone: DroneFlight, scan: ReviewedScan, where: object) -> bool:
     for camera, lens in enumerate(drone.lenses):
         at = predicted(drone, scan, np.asarray(where), camera)
         if at is not None and all(
@@ -100,7 +100,7 @@ def _in_view(drone: DroneFlight, scan: SeenScan, where: object) -> bool:
     return False
 
 
-def _why_unnamed(drone: DroneFlight, t: float, free: list[Look]) -> str:
+def _why_unnamed(drone: DroneFlight, t: float, free: list[ConfirmedLook]) -> str:
     """The reason that the drone's health states at t, else what the track lacks."""
     message = next((message for at, message in reversed(drone.health) if at <= t + 1.0), None)
     if message is not None:
@@ -123,7 +123,9 @@ def _why_blind(drone: DroneFlight, t: float) -> str:
     return "no frame was processed"
 
 
-def _true_one(flight: Flight, drone: DroneFlight, scan: SeenScan, look: Look) -> int | None:
+def _true_one(
+    flight: ReviewedFlight, drone: DroneFlight, scan: ReviewedScan, look: ConfirmedLook
+) -> int | None:
     """Whom a named track shows by the truth; None where that is not clear."""
     here = flight.true_place(drone.drone_id, scan.t)
     if here is None or look.position is None:
@@ -137,6 +139,6 @@ def _true_one(flight: Flight, drone: DroneFlight, scan: SeenScan, look: Look) ->
             off[other] = math.degrees(math.acos(min(1.0, max(-1.0, float(ray @ towards)))))
     nearest = min(off, key=lambda other: off[other], default=None)
     called = off.get(look.identity, math.inf) if isinstance(look.identity, int) else math.inf
-    if nearest is None or off[nearest] > NEAR_DEG or called < FAR_DEG:
+    if nearest is None or off[nearest] > SAME_DRONE_DEG or called < OTHER_DRONE_DEG:
         return None
     return nearest

@@ -35,7 +35,18 @@ from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.merge import SAID_TOPIC, Shift, SightingTimes, shifts_by, utc_offset
 from swarmtrack.recording.reader import FLIGHT_PLAN, Message, Recording, recordings_below
 from swarmtrack.recording.settings import read_settings
-from swarmtrack.review.flight import Command, DroneFlight, Flight, Heard, Lens, Life, Look, SeenScan, Stand
+from swarmtrack.review.flight import (
+    ConfirmedLook,
+    DroneFlight,
+    FollowerCommand,
+    Life,
+    ReportedPlace,
+    ReviewedFlight,
+    ReviewedLens,
+    ReviewedScan,
+    Stand,
+)
+from swarmtrack.runtime.flight_recorder import HEALTH_RECORDS
 from swarmtrack.runtime.perception import make_ego_history
 from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, TRUTH_TOPIC, read_heard, read_truth
 from swarmtrack.transport import keys
@@ -49,7 +60,6 @@ from swarmtrack.wire.tracks import TracksMessage
 
 SCAN_PERIOD_S = 0.2  # s between two scans that are kept: what a page can show
 EGO_KEPT_S = 2.0
-HEALTH_TOPIC = "/health"
 IMU_TOPIC = "/imu"
 DETECTIONS_TOPIC = "/detections"
 _INPUT_TOPICS = frozenset(
@@ -66,7 +76,7 @@ _INPUT_TOPICS = frozenset(
     )
 )
 _OWN_TOPICS = _INPUT_TOPICS | {
-    HEALTH_TOPIC,
+    HEALTH_RECORDS.name,
     IMU_TOPIC,
     DETECTIONS_TOPIC,
     SAID_TOPIC,
@@ -79,7 +89,7 @@ Progress = Callable[[str, int, int], None]
 """What is read now, the how manieth it is, and of how many."""
 
 
-class _ScanHead(msgspec.Struct):
+class _ScanTime(msgspec.Struct):
     """As much of a record as tells its time."""
 
     t_s: float
@@ -92,11 +102,11 @@ class _Frame(msgspec.Struct):
     score: list[float | str]
 
 
-_DECODE_HEAD = msgspec.json.Decoder(_ScanHead).decode
+_DECODE_HEAD = msgspec.json.Decoder(_ScanTime).decode
 _DECODE_FRAME = msgspec.json.Decoder(_Frame).decode
 
 
-def read_flight(paths: Sequence[Path], progress: Progress | None = None) -> Flight:
+def read_flight(paths: Sequence[Path], progress: Progress | None = None) -> ReviewedFlight:
     """Raises RecordingError where nothing of it can be reviewed, and ConfigError for the config of another version."""
     recordings = recordings_below(*paths)
     recordings.sort(key=lambda recording: recording.kind == "drone")  # a swarm's clock is everybody's
@@ -121,7 +131,9 @@ def read_flight(paths: Sequence[Path], progress: Progress | None = None) -> Flig
     return _joined(teams[0], sources, moved, begin)
 
 
-def _joined(team: str, sources: Sequence[_Own | _Swarm], moved: Sequence[Shift], begin: float) -> Flight:
+def _joined(
+    team: str, sources: Sequence[_Own | _Swarm], moved: Sequence[Shift], begin: float
+) -> ReviewedFlight:
     drones: dict[int, DroneFlight] = {}
     truth: Mapping[int, Array] = {}
     clocks: dict[int, float] = {}
@@ -140,7 +152,7 @@ def _joined(team: str, sources: Sequence[_Own | _Swarm], moved: Sequence[Shift],
             for heard in source.flights(shift.seconds - begin):
                 drones.setdefault(heard.drone_id, heard)
     seconds = max((drone.end for drone in drones.values()), default=0.0)
-    return Flight(team, begin, seconds, dict(sorted(drones.items())), truth, clocks, damage)
+    return ReviewedFlight(team, begin, seconds, dict(sorted(drones.items())), truth, clocks, damage)
 
 
 def _add(drones: dict[int, DroneFlight], flight: DroneFlight) -> None:
@@ -217,12 +229,12 @@ class _Own:
             if head.t_s >= self._next_scan.get(head.camera, -math.inf):
                 self._next_scan[head.camera] = head.t_s + SCAN_PERIOD_S - 0.01
                 self._on_scan(outputs.decode_report(message.data).report)
-        elif topic == HEALTH_TOPIC:
+        elif topic == HEALTH_RECORDS.name:
             self._flight.health.append((t, from_record(HealthMessage, msgspec.json.decode(message.data))))
         elif topic == outputs.SETPOINTS_TOPIC:
             record = msgspec.json.decode(message.data)
             why, text = str(record["why"]), str(record["text"])
-            self._flight.commands.append(Command(t, why not in ("follow", "height"), why, text))
+            self._flight.commands.append(FollowerCommand(t, why not in ("follow", "height"), why, text))
 
     def _on_input(self, event: Input, t: float) -> None:
         flight = self._flight
@@ -237,7 +249,9 @@ class _Own:
                 flight.reboots.append(t)
             case SightingReport():
                 key = (event.observer, event.boot, event.sequence)
-                flight.heard.append(Heard(t, event.t + self._offset, event.observer, event.position, key))
+                flight.heard.append(
+                    ReportedPlace(t, event.t + self._offset, event.observer, event.position, key)
+                )
             case Announcement():
                 flight.announced.append((t, event.drone_id))
             case PeerArrived() | PeerDeparted():
@@ -257,7 +271,7 @@ class _Own:
             pixel = np.array([[track.mean[0], track.mean[2]]])
             bearing = self._cameras[track.camera].bearing_undistorted(pixel)[0]
             looks.append(
-                Look(
+                ConfirmedLook(
                     exposed + self._offset,
                     entry.identity,
                     entry.identity_probability,
@@ -267,7 +281,7 @@ class _Own:
                     track.camera,
                 )
             )
-        self._flight.scans.append(SeenScan(exposed + self._offset, stand, tuple(looks), report.camera))
+        self._flight.scans.append(ReviewedScan(exposed + self._offset, stand, tuple(looks), report.camera))
 
     def flight(self, offset: float) -> DroneFlight:
         """Times moved by offset [s]."""
@@ -292,9 +306,9 @@ class _Own:
         return flight
 
 
-def _lens(camera: PinholeCamera, body_from_camera: Array) -> Lens:
+def _lens(camera: PinholeCamera, body_from_camera: Array) -> ReviewedLens:
     half = (camera.width / (2.0 * camera.fx), camera.height / (2.0 * camera.fy))
-    return Lens(body_from_camera, half)
+    return ReviewedLens(body_from_camera, half)
 
 
 def _asked_fps(source: str) -> float | None:
@@ -346,7 +360,7 @@ class _Swarm:
         if address.kind is Kind.HEALTH:
             flight.health.append((t, codec.decode(HealthMessage, payload)))
         elif address.kind is Kind.TRACKS and (not flight.scans or t - flight.scans[-1].t >= SCAN_PERIOD_S):
-            flight.scans.append(SeenScan(t, None, _looks(codec.decode(TracksMessage, payload), t)))
+            flight.scans.append(ReviewedScan(t, None, _looks(codec.decode(TracksMessage, payload), t)))
 
     def flights(self, offset: float) -> list[DroneFlight]:
         """Of all that were heard, moved by offset [s]."""
@@ -378,7 +392,7 @@ class _Swarm:
         }
 
 
-def _looks(message: TracksMessage, t: float) -> tuple[Look, ...]:
+def _looks(message: TracksMessage, t: float) -> tuple[ConfirmedLook, ...]:
     relatives = {relative.track_id: relative for relative in message.relatives}
     looks = []
     for number, track in enumerate(message.tracks):
@@ -388,7 +402,9 @@ def _looks(message: TracksMessage, t: float) -> tuple[Look, ...]:
         cov = None if relative is None else _upper(relative.cov)[:3, :3]
         position = None if relative is None else np.array(relative.position_m)
         camera = message.camera_of(number)
-        looks.append(Look(t, track.identity, track.identity_probability, None, position, cov, camera))
+        looks.append(
+            ConfirmedLook(t, track.identity, track.identity_probability, None, position, cov, camera)
+        )
     return tuple(looks)
 
 

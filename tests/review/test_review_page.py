@@ -14,7 +14,7 @@ from support.recorded_swarm import record_swarm
 from support.reviewed_flight import Record, fly_healthy, link_of, rewrite
 from swarmtrack.agents import main as swarmtrack
 from swarmtrack.diagnosis.findings import Level, markdown_table
-from swarmtrack.review.checks import FlightFinding, Line, review
+from swarmtrack.review.checks import FlightFinding, ReviewLine, review
 from swarmtrack.review.faults import FLIGHT_FAULTS, flight_fault
 from swarmtrack.review.html import as_records, render
 from swarmtrack.review.read import read_flight
@@ -82,7 +82,7 @@ def test_a_team_that_did_not_record_itself_is_reviewed_by_what_was_heard(tmp_pat
 
 
 def test_lines_are_ordered_by_severity_times_duration():
-    def line(name: str, seconds: float) -> Line:
+    def line(name: str, seconds: float) -> ReviewLine:
         words = {
             "seconds": seconds,
             "count": 1,
@@ -92,7 +92,7 @@ def test_lines_are_ordered_by_severity_times_duration():
             "lag_ms": 1.0,
             "cpu": 1.0,
         }
-        return Line((FlightFinding(1, flight_fault(name, **words), 0.0, seconds, seconds),))
+        return ReviewLine((FlightFinding(1, flight_fault(name, **words), 0.0, seconds, seconds),))
 
     assert line("camera.gap", 20.0).weight > line("camera.gap", 12.0).weight
     assert line("camera.gap", 1.0).weight > line("team.loss", 600.0).weight > line("team.loss", 60.0).weight
