@@ -47,7 +47,7 @@ FLIGHT_FAULTS: dict[str, Fault] = {
     ),
     "autopilot.rebooted": Fault(
         F,
-        "the autopilot rebooted in flight: {count} times",
+        "the autopilot rebooted in flight (number of reboots: {count})",
         "look for a brown-out or a watchdog in the autopilot's own log; check its supply and connectors",
     ),
     "autopilot.place_lost": Fault(
@@ -115,7 +115,7 @@ FLIGHT_FAULTS: dict[str, Fault] = {
     ),
     "team.restarted": Fault(
         F,
-        "its agent was started again: {count} times",
+        "its agent was started again (number of restarts: {count})",
         "look at its log for the reason; `journalctl -u swarmtrack-agent@*`",
     ),
     "team.loss": Fault(

@@ -159,8 +159,7 @@ FAULTS: dict[str, tuple[str, Change]] = {
         "camera.missing",
         said_by("v4l2", "/dev/video0 was unplugged; waiting for it", fps=0.0),
     ),
-    "late frames": ("camera.late", counted("v4l2", age_p50_ms=160.0)),
-    "frames too late to be used": ("camera.stale", counted("v4l2", age_p50_ms=420.0)),
+    "late frames": ("camera.stale", counted("v4l2", age_p50_ms=420.0)),
     "damaged frames": ("camera.damaged", counted("v4l2", corrupt=90.0)),
     "a low frame rate": ("camera.rate", rarely),
     "a clock that is set": (
