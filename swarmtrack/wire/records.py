@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import msgspec
@@ -30,8 +31,13 @@ def as_record(message: Message) -> dict[str, Any]:
 
 def from_record(kind: type[AnyMessage], record: Mapping[str, Any]) -> AnyMessage:
     """Inverse of `as_record`, with the same checks as a received message. Raises DecodeError."""
-    fields = _unnamed(msgspec.inspect.type_info(kind), record)
+    fields = _unnamed(_type_info(kind), record)  # type: ignore[arg-type]  # classes are hashable
     return codec.decode(kind, msgspec.msgpack.encode(fields))
+
+
+@cache
+def _type_info(kind: type) -> msgspec.inspect.Type:
+    return msgspec.inspect.type_info(kind)
 
 
 def _unnamed(kind: msgspec.inspect.Type, value: Any) -> Any:
