@@ -53,10 +53,11 @@ async def scripted_agent(
     port, team = free_port(), f"bench-{secrets.token_hex(4)}"
     config = scripted_entries(port, team) | dict(entries or {})
     with agent_process(["swarmtrack.benchmarks.scripted_agent", *options], config) as process:
-        async with AsyncExitStack() as hearing, autopilot(port):
+        async with AsyncExitStack() as hearing:
             heard = await hearing.enter_async_context(listening(team))
-            await until_tracking(process, heard)
-            yield LoneAgent(process, team, heard, hearing.aclose)
+            async with autopilot(port):
+                await until_tracking(process, heard)
+                yield LoneAgent(process, team, heard, hearing.aclose)
 
 
 @dataclass
