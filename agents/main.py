@@ -45,7 +45,7 @@ GROUPS = {
         ),
         "plot": ("swarmtrack.agents.plot", "draw a recorded flight: map, distances, names, errors"),
         "review": ("swarmtrack.agents.review", "review a recorded flight: what was wrong, on one page"),
-        "log": ("swarmtrack.agents.log", "show, repair and merge recordings"),
+        "log": ("swarmtrack.agents.log", "show, repair, merge and convert recordings"),
         "import": ("swarmtrack.agents.import_flight", "make a recording from a telemetry log and a video"),
     },
     "develop": {
