@@ -19,7 +19,7 @@ from swarmtrack.outputs.ros2.node import QOS_DEFAULT
 from swarmtrack.recording.reader import recordings_below
 
 BAG_VERSION: Final = 9
-"""Of its metadata: what Jazzy and later write; Humble reads it too."""
+"""Of its metadata: what Jazzy and later write."""
 BAG_PROGRESS_EVERY_S: Final = 60.0
 """s of flight."""
 
