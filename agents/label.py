@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from swarmtrack.arguments import add_file, add_folder, count
+from swarmtrack.arguments import add_file, add_folder, count, is_taken
 from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     from swarmtrack.recording.reader import recordings_below
     from swarmtrack.replay.flight_labels import Body, FlightLabels
 
-    if args.out.exists() and (not args.out.is_dir() or any(args.out.iterdir())):
+    if is_taken(args.out):
         raise SourceError(f"--out {args.out}: already exists, expected a new folder")
     recordings = recordings_below(args.path)
     found = FlightLabels(recordings, Body(args.span, args.height or args.span / 3))

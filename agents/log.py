@@ -6,11 +6,19 @@ import argparse
 import json
 import sys
 from datetime import UTC, datetime
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmtrack.arguments import add_action, add_file, add_flag, add_folder, positive, require_extra
+from swarmtrack.arguments import (
+    add_action,
+    add_file,
+    add_flag,
+    add_folder,
+    counted_folder,
+    is_taken,
+    positive,
+    require_extra,
+)
 from swarmtrack.errors import RecordingError
 
 if TYPE_CHECKING:
@@ -162,23 +170,21 @@ def _free_folder(args: argparse.Namespace, suffix: str, own: set[str]) -> Path:
     for path in args.paths:
         files_below(path)  # before anything is removed
     if args.out is None:
-        stem = args.paths[0].resolve().stem
-        names = (f"{stem}-{suffix}" + (f"-{k}" if k > 1 else "") for k in count(1))
-        return next(folder for name in names if not (folder := Path(name)).exists())
+        return counted_folder(f"{args.paths[0].resolve().stem}-{suffix}")
     out: Path = args.out
-    if out.exists():
+    if is_taken(out):
         if not args.force:
             raise RecordingError(
-                f"--out {out}: already exists, expected a new folder, or --force to replace it"
+                f"--out {out}: already exists, expected an empty folder or a new one, or --force to replace it"
             )
         found = list(out.iterdir()) if out.is_dir() else []
         written = [file for file in found if any(file.match(each) for each in own)]
-        if not out.is_dir() or (found and not written):
+        if not written:
             raise RecordingError(
                 f"--out {out}: is no output of swarmtrack log {suffix}, so --force does not replace it"
             )
         for file in written:
             file.unlink()
-        if len(written) == len(found):
-            out.rmdir()
+    if out.is_dir() and not is_taken(out):
+        out.rmdir()  # a bag's folder must be new
     return out

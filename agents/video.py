@@ -15,12 +15,11 @@ import os
 import re
 import shutil
 import sys
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import quote
 
-from swarmtrack.arguments import add_file, add_flag, add_folder, positive
+from swarmtrack.arguments import add_file, add_flag, add_folder, counted_folder, is_taken, positive
 from swarmtrack.errors import SourceError, SwarmtrackError, ungrouped
 
 if TYPE_CHECKING:
@@ -139,10 +138,9 @@ def _free_folder(args: argparse.Namespace) -> Path:
     """Where to write, made free if asked for."""
     if args.out is None:
         stem = os.fsencode(args.file.stem).decode(errors="replace")
-        names = (f"{stem}-tracked" + (f"-{k}" if k > 1 else "") for k in count(1))
-        return next(folder for name in names if not _is_taken(folder := Path(name)))
+        return counted_folder(f"{stem}-tracked")
     out: Path = args.out
-    if _is_taken(out):
+    if is_taken(out):
         if not args.force:
             raise SourceError(
                 f"--out {out}: already exists, expected an empty folder or a new one, or --force to replace it"
@@ -153,10 +151,6 @@ def _free_folder(args: argparse.Namespace) -> Path:
             )
         shutil.rmtree(out)
     return out
-
-
-def _is_taken(out: Path) -> bool:
-    return out.exists() and (not out.is_dir() or any(out.iterdir()))
 
 
 def _write_config(args: argparse.Namespace, out: Path, size: tuple[int, int]) -> Path:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import asyncio
 import copy
+import math
 import os
 import time
 from functools import partial
@@ -104,15 +105,15 @@ class Measured(NamedTuple):
     exposure to arrival."""
 
     cpu_percent: float
-    unheard_cpu_percent: float
     rss_mb: float
     latency_ms: tuple[float, float]
     health: HealthMessage
+    unheard_cpu_percent: float = math.nan
 
 
 def agent_lines(tracker: str, seconds: float) -> list[Figure]:
     """An agent without the detector: one that sleeps as long as the default model takes stands in for it."""
-    measured = measure_agent(tracker, seconds, ["--look-ms", str(LOOK_MS)])
+    measured = measure_agent(tracker, seconds, ["--look-ms", str(LOOK_MS)], then_unheard=True)
     p50, p95 = (latency - LOOK_MS for latency in measured.latency_ms)
     who, heard = (
         "agent without the detector, 5 tracks:",
@@ -148,12 +149,15 @@ def detecting_lines(tracker: str, seconds: float) -> list[Figure]:
     ]
 
 
-def measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
-    """The scripted agent with these options, at 200 Hz of gyro and 15 Hz of frames, for `seconds` of its life."""
-    return asyncio.run(_measure_agent(tracker, seconds, options))
+def measure_agent(
+    tracker: str, seconds: float, options: list[str], *, then_unheard: bool = False
+) -> Measured:
+    """The scripted agent with these options, at 200 Hz of gyro and 15 Hz of frames, for `seconds` of its life.
+    then_unheard: for as long again without a listener."""
+    return asyncio.run(_measure_agent(tracker, seconds, options, then_unheard=then_unheard))
 
 
-async def _measure_agent(tracker: str, seconds: float, options: list[str]) -> Measured:
+async def _measure_agent(tracker: str, seconds: float, options: list[str], *, then_unheard: bool) -> Measured:
     async with scripted_agent(["--fps", str(FPS), *options], {"tracker.name": tracker}) as agent:
         process, heard = agent.process, agent.heard
         await asyncio.sleep(SETTLE_S)
@@ -162,10 +166,12 @@ async def _measure_agent(tracker: str, seconds: float, options: list[str]) -> Me
         if heard.health is None or len(heard.latencies) < 2:
             raise BenchmarkError("agent: no health or no tracks arrived, expected both on Zenoh")
         p50, p95 = (1e3 * float(latency) for latency in np.percentile(heard.latencies, [50, 95]))
+        measured = Measured(cpu_percent, rss_mb(process.pid), (p50, p95), heard.health)
+        if not then_unheard:
+            return measured
         await agent.stop_listening()
         await asyncio.sleep(SETTLE_S)
-        unheard = await _cpu_percent(process.pid, seconds)
-        return Measured(cpu_percent, unheard, rss_mb(process.pid), (p50, p95), heard.health)
+        return measured._replace(unheard_cpu_percent=await _cpu_percent(process.pid, seconds))
 
 
 async def _cpu_percent(pid: int, seconds: float) -> float:

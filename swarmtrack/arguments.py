@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import itertools
 import os
 import re
 from collections.abc import Callable, Iterable, Mapping
@@ -182,3 +183,14 @@ def port(text: str) -> int:
     if not (text.isascii() and text.isdigit() and int(text) < 65536):
         raise argparse.ArgumentTypeError(f"found {text}, expected a port, 0 … 65535")
     return int(text)
+
+
+def is_taken(out: Path) -> bool:
+    """Whether there is something else than an empty folder."""
+    return out.exists() and (not out.is_dir() or any(out.iterdir()))
+
+
+def counted_folder(name: str) -> Path:
+    """NAME in the current folder, else NAME-2 and so on: the first that is free."""
+    names = (Path(name if k == 1 else f"{name}-{k}") for k in itertools.count(1))
+    return next(folder for folder in names if not is_taken(folder))

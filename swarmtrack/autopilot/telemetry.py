@@ -145,10 +145,9 @@ class Telemetry:
         self.attitudes = Intake("attitudes")
         self.positions = Intake("positions")
         self._frame_loss = FrameLoss(framer, self.senders)
-        self._poses_without_position = self._reboots = self._replaced = 0
+        self._poses_without_position = self._reboots = self._replaced = self._breaks_before = 0
 
         self.cadence = Cadence()
-        self._breaks_before = 0
         self.imu_at = -math.inf  # when the last sample came
         self.imu_rate_hz = 0.0
         self.slow_gyro = False

@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
-from swarmtrack.client.recorded import heard_timeline
+from swarmtrack.client.recorded import heard_timeline, with_progress
 from swarmtrack.errors import RecordingError
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import EgoPose
@@ -26,8 +26,6 @@ from swarmtrack.wire.sightings import SightingsMessage, is_from_nowhere
 from swarmtrack.wire.tracks import TracksMessage
 
 Row = Sequence[Any]
-PROGRESS_EVERY_S: Final = 60.0
-"""s of flight."""
 EGO_TOPIC: Final = inputs.FORM_OF_KIND[EgoPose].topic
 
 _AXES = ("north", "east", "down")
@@ -64,7 +62,7 @@ def write_tables(paths: tuple[Path, ...], out: Path, progress: Callable[[str], N
     for note in timeline.notes:
         progress(note)
     rows: dict[str, int] = dict.fromkeys(TABLES, 0)
-    refused, due = 0, PROGRESS_EVERY_S
+    refused = 0
     try:
         out.mkdir(parents=True, exist_ok=True)
         with ExitStack() as files:
@@ -73,10 +71,7 @@ def write_tables(paths: tuple[Path, ...], out: Path, progress: Callable[[str], N
                 file = files.enter_context((out / f"{name}.csv").open("w", newline="", encoding="utf-8"))
                 writers[name] = csv.writer(file)
                 writers[name].writerow(columns)
-            for sample in timeline.samples():
-                if sample.arrived - timeline.begin >= due:
-                    progress(f"{due:.0f} of {timeline.seconds:.0f} s")
-                    due += PROGRESS_EVERY_S
+            for sample in with_progress(timeline.samples(), timeline, progress):
                 try:
                     for name, t, row in _rows(sample.key, sample.payload):
                         writers[name].writerow((round(t - timeline.begin, 6), t, *row))

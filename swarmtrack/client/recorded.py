@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
@@ -20,6 +20,9 @@ from swarmtrack.transport.base import Kind, Sample
 if TYPE_CHECKING:
     from swarmtrack.monitor.timeline import Timeline
     from swarmtrack.recording.reader import Recording
+
+
+PROGRESS_EVERY_S = 60.0  # s of flight
 
 
 class RecordedSwarm(TeamReader):
@@ -116,6 +119,18 @@ def heard_timeline(paths: tuple[Path, ...]) -> tuple[Timeline, list[Recording]]:
     recordings = recordings_below(*paths)
     heard = [one.folder for one in recordings if one.kind == "swarm"]
     return read_timeline(heard or paths), recordings
+
+
+def with_progress(
+    samples: Iterator[Sample], timeline: Timeline, progress: Callable[[str], None]
+) -> Iterator[Sample]:
+    """The same samples; a line for each minute of the flight."""
+    due = PROGRESS_EVERY_S
+    for sample in samples:
+        if sample.arrived - timeline.begin >= due:
+            progress(f"{due:.0f} of {timeline.seconds:.0f} s")
+            due += PROGRESS_EVERY_S
+        yield sample
 
 
 def with_cameras(

@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
-from swarmtrack.client.recorded import with_cameras
+from swarmtrack.client.recorded import with_cameras, with_progress
 from swarmtrack.client.ros2_bridge import TeamBridge
 from swarmtrack.clock import ManualClock
 from swarmtrack.errors import RecordingError
@@ -20,8 +20,6 @@ from swarmtrack.recording.reader import recordings_below
 
 BAG_VERSION: Final = 9
 """Of its metadata: what Jazzy and later write."""
-BAG_PROGRESS_EVERY_S: Final = 60.0
-"""s of flight."""
 
 
 class BagTopics:
@@ -58,17 +56,15 @@ def write_bag(paths: tuple[Path, ...], out: Path, *, hz: float, progress: Callab
     timeline = read_timeline(paths)
     for note in timeline.notes:
         progress(note)
-    clock, due = ManualClock(0.0, 0.0), BAG_PROGRESS_EVERY_S
+    clock = ManualClock(0.0, 0.0)
     try:
         with Writer(out, version=BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as writer:
             topics = BagTopics(writer, _typestore())
             bridge = TeamBridge(timeline.team, topics, namespace="swarm", hz=hz, clock=clock)
-            for sample in with_cameras(timeline, recordings_below(*paths), pictures=True):
+            samples = with_cameras(timeline, recordings_below(*paths), pictures=True)
+            for sample in with_progress(samples, timeline, progress):
                 topics.t = sample.arrived
                 bridge.on_sample(sample)
-                if sample.arrived - timeline.begin >= due:
-                    progress(f"{due:.0f} of {timeline.seconds:.0f} s")
-                    due += BAG_PROGRESS_EVERY_S
     except (OSError, WriterError) as error:
         raise RecordingError(f"--out {out}: {error}, expected a new folder that can be written") from error
     return topics.written

@@ -14,7 +14,7 @@ from collections import Counter
 from typing import Any
 
 import foxglove
-from foxglove import Channel, Context, Schema
+from foxglove import Channel, Context
 from foxglove.websocket import (
     Capability,
     ChannelView,
@@ -170,11 +170,7 @@ class FoxgloveServer:
     def _channel(self, topic: Topic) -> Channel:
         channel = self._channels.get(topic.name)
         if channel is None:
-            schema = Schema(name=topic.schema_name, encoding=topic.schema_encoding, data=topic.schema)
-            channel = Channel(
-                topic.name, schema=schema, message_encoding=topic.encoding, context=self._context
-            )
-            self._channels[topic.name] = channel
+            channel = self._channels[topic.name] = topic.channel(self._context)
         return channel
 
     def _log(self, written: Written) -> None:

@@ -63,6 +63,8 @@ HEEDED_INPUTS = frozenset(
         IdClash,
     )
 )
+UNREADABLE_RECORD = (RecordingError, DecodeError, msgspec.MsgspecError, ValueError, KeyError, TypeError)
+"""What decoding a damaged or foreign record raises."""
 EGO_HISTORY_S = 2.0
 SPOKE_S = 0.2  # s between two signs of life that are kept: silence counts from 2 s on
 SILENT_WORD_S = 1.0  # s between two signs of life of a teammate that did not record itself
@@ -111,7 +113,7 @@ class DroneRecording:
             try:
                 self.hearsay.note(message)
                 self._take(message, t)
-            except (RecordingError, DecodeError, msgspec.MsgspecError, ValueError, KeyError, TypeError):
+            except UNREADABLE_RECORD:
                 self.refused += 1
 
     # --- reading ------------------------------------------------------------------------
@@ -166,7 +168,7 @@ class DroneRecording:
             )
 
     def _on_scan(self, data: bytes, t: float) -> None:
-        scan = _DECODE_SCAN(data)
+        scan = DECODE_SCAN_HEAD(data)
         exposed, camera = scan.t_s, scan.camera
         self.tracked.add(exposed + self._offset, self._blob_file.append(data), t)
         if camera < len(self._cameras) and _is_due(self._scans[camera], t):
@@ -311,7 +313,7 @@ class _View(NamedTuple):
     picture: Blob | None
 
 
-class _ScanHead(msgspec.Struct):
+class ScanHead(msgspec.Struct):
     """As much of a record as tells its time, and whose picture it was."""
 
     t_s: float
@@ -334,7 +336,7 @@ class _Seen(NamedTuple):
 
 
 _DECODE_SAID = msgspec.json.Decoder(_Said).decode
-_DECODE_SCAN = msgspec.json.Decoder(_ScanHead).decode
+DECODE_SCAN_HEAD = msgspec.json.Decoder(ScanHead).decode
 
 
 def _is_due(views: list[_View], t: float) -> bool:

@@ -51,6 +51,11 @@ class Topic(NamedTuple):
         schema = message.get_schema()
         return cls(name, schema.name, schema.data, "protobuf", schema.encoding)
 
+    def channel(self, context: Context) -> Channel:
+        """Opened in a context of the SDK, whose sinks get what is logged to it."""
+        schema = Schema(name=self.schema_name, encoding=self.schema_encoding, data=self.schema)
+        return Channel(self.name, schema=schema, message_encoding=self.encoding, context=context)
+
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
@@ -181,11 +186,7 @@ class RecordingWriter:
             return
         channel = self._channels.get(topic.name)
         if channel is None:
-            schema = Schema(name=topic.schema_name, encoding=topic.schema_encoding, data=topic.schema)
-            channel = Channel(
-                topic.name, schema=schema, message_encoding=topic.encoding, context=self._context
-            )
-            self._channels[topic.name] = channel
+            channel = self._channels[topic.name] = topic.channel(self._context)
         channel.log(data, log_time=log_time_ns)
         self.counters.written += 1
 

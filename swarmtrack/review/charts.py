@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,8 +35,12 @@ DASHES = (None, [6, 3], [2, 3], [9, 3, 2, 3])
 
 def charts(flight: ReviewedFlight) -> list[Chart]:
     """All that hold anything."""
-    made = [_names(flight), _distances(flight), _nees(flight), _camera_clocks(flight)]
-    made += [
+    measured = _metres(flight)
+    made = [
+        _names(flight),
+        _distances(flight, measured),
+        _nees(measured),
+        _camera_clocks(flight),
         *_rates(flight),
         _messages(flight),
         _links(flight),
@@ -74,49 +78,67 @@ def _names(flight: ReviewedFlight) -> Chart:
     return {"title": "Names", "about": about, "rows": rows, "key": key}
 
 
-def _distances(flight: ReviewedFlight) -> Chart:
+class _Metres(NamedTuple):
+    """Measured place (3,) m of a named teammate at t [s], its covariance (3, 3), and the true one where it is known."""
+
+    t: float
+    teammate: int
+    position: Array
+    cov: Array
+    true: Array | None
+
+
+def _metres(flight: ReviewedFlight) -> dict[int, list[_Metres]]:
+    """By observer, in the order of time."""
+    return {
+        drone.drone_id: [
+            _Metres(
+                scan.t, look.identity, look.position, look.cov, _true(flight, drone, look.identity, scan.t)
+            )
+            for scan in drone.scans
+            for look in scan.looks
+            if isinstance(look.identity, int) and look.position is not None and look.cov is not None
+        ]
+        for drone in flight.drones.values()
+    }
+
+
+def _true(flight: ReviewedFlight, drone: DroneFlight, teammate: int, t: float) -> Array | None:
+    here, there = flight.true_place(drone.drone_id, t), flight.true_place(teammate, t)
+    return None if here is None or there is None else there - here
+
+
+def _distances(flight: ReviewedFlight, measured: dict[int, list[_Metres]]) -> Chart:
     series: list[Series] = []
-    for number, drone in enumerate(flight.drones.values()):
+    for number, (observer, found) in enumerate(measured.items()):
         by_name: dict[int, list[tuple[float, float, float, float]]] = {}
-        for scan in drone.scans:
-            for look in scan.looks:
-                if isinstance(look.identity, int) and look.position is not None and look.cov is not None:
-                    metres = float(np.linalg.norm(look.position))
-                    ray = look.position / max(metres, 1e-6)
-                    sigma = math.sqrt(max(float(ray @ look.cov @ ray), 0.0))
-                    true = _true_offset(flight, drone.drone_id, look.identity, look.t)
-                    length = math.nan if true is None else float(np.linalg.norm(true))
-                    by_name.setdefault(look.identity, []).append((look.t, metres, 2.0 * sigma, length))
+        for one in found:
+            metres = float(np.linalg.norm(one.position))
+            ray = one.position / max(metres, 1e-6)
+            sigma = math.sqrt(max(float(ray @ one.cov @ ray), 0.0))
+            length = math.nan if one.true is None else float(np.linalg.norm(one.true))
+            by_name.setdefault(one.teammate, []).append((one.t, metres, 2.0 * sigma, length))
         for whom, rows in sorted(by_name.items()):
-            t, metres, band, true = np.array(rows).T
-            label = f"{drone.drone_id}→{whom}"
-            series.append(_line(label, colour(whom), t, metres, band=band, dash=DASHES[number % len(DASHES)]))
+            t, metres_then, band, true = np.array(rows).T
+            label, dash = f"{observer}→{whom}", DASHES[number % len(DASHES)]
+            series.append(_line(label, colour(whom), t, metres_then, band=band, dash=dash))
             if np.isfinite(true).any():
                 series.append(_line(f"{label} true", "#ffffff", t, true, dash=[1, 3]))
     about = "Observer→teammate; band: ± 2σ" + ("; dotted white: the truth." if flight.truth else ".")
     return {**_chart("Distances, m", series, unit="m", low=0.0), "about": about}
 
 
-def _true_offset(flight: ReviewedFlight, observer: int, whom: int, t: float) -> Array | None:
-    here, there = flight.true_place(observer, t), flight.true_place(whom, t)
-    return None if here is None or there is None else there - here
-
-
-def _nees(flight: ReviewedFlight) -> Chart:
+def _nees(measured: dict[int, list[_Metres]]) -> Chart:
     series = []
-    for drone in flight.drones.values():
+    for observer, found in measured.items():
         rows = []
-        for scan in drone.scans:
-            for look in scan.looks:
-                if not isinstance(look.identity, int) or look.position is None or look.cov is None:
-                    continue
-                true = _true_offset(flight, drone.drone_id, look.identity, look.t)
-                if true is not None:
-                    error = look.position - true
-                    rows.append((look.t, float(error @ np.linalg.pinv(look.cov) @ error) / 3.0))
+        for one in found:
+            if one.true is not None:
+                error = one.position - one.true
+                rows.append((one.t, float(error @ np.linalg.pinv(one.cov) @ error) / 3.0))
         if rows:
             t, nees = np.array(rows).T
-            series.append(_line(f"drone {drone.drone_id}", colour(drone.drone_id), *_bucketed(t, nees)))
+            series.append(_line(f"drone {observer}", colour(observer), *_bucketed(t, nees)))
     about = (
         "Squared error of teammates' positions over its covariance, per axis; 1 is honest, above: too sure."
     )

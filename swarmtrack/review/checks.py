@@ -25,8 +25,8 @@ from swarmtrack.diagnosis.surroundings import CLOCKS_APART, in_words
 from swarmtrack.messages import Array, LinkStatus
 from swarmtrack.review.directions import misaligned
 from swarmtrack.review.faults import flight_fault
-from swarmtrack.review.flight import DroneFlight, FollowerCommand, ReviewedFlight
-from swarmtrack.review.names import Naming, namings
+from swarmtrack.review.flight import DroneFlight, FollowerCommand, Naming, ReviewedFlight
+from swarmtrack.review.names import namings
 from swarmtrack.wire.health import HealthMessage, LinkHealth
 
 LINK_OPENING_S = 5.0  # s from an agent's start, in which links may still be opening

@@ -14,13 +14,12 @@ from swarmtrack.wire.health import HealthMessage
 
 
 class ConfirmedLook(NamedTuple):
-    """One confirmed track at t [s]. probability: of its name.
+    """One confirmed track. probability: of its name.
 
     bearing (3,): unit vector in the axes of its camera; position (3,) m and cov (3, 3) m²: of its teammate from the
     observer's camera, team axes (NED); None while unknown. camera: its index in the config.
     """
 
-    t: float
     identity: Identity
     probability: float
     bearing: Array | None = None
@@ -30,9 +29,8 @@ class ConfirmedLook(NamedTuple):
 
 
 class Stand(NamedTuple):
-    """Own pose by the drone's own belief at t [s]. position (3,) m, team frame; world_from_body (3, 3)."""
+    """Own pose by the drone's own belief. position (3,) m, team frame; world_from_body (3, 3)."""
 
-    t: float
     position: Array
     world_from_body: Array
 
@@ -131,6 +129,24 @@ class DroneFlight:
         return max((life.end for life in self.lives), default=0.0)
 
 
+class NameSpan(NamedTuple):
+    """From begin to end [s]. state: named, wrong, unnamed (a track without a name may be it), undetected (in view, and
+    there is no track), away (out of view), blind (the camera or the agent is silent). why: in words."""
+
+    begin: float
+    end: float
+    state: str
+    why: str
+
+
+class Naming(NamedTuple):
+    """How one observer named one teammate over the flight."""
+
+    observer: int
+    teammate: int
+    spans: tuple[NameSpan, ...]
+
+
 @dataclass(slots=True)
 class ReviewedFlight:
     """A flight. begin_utc_s: when its clock began; truth: rows of t, north, east, down by drone, empty where unknown;
@@ -142,8 +158,9 @@ class ReviewedFlight:
     drones: dict[int, DroneFlight]
     truth: Mapping[int, Array] = field(default_factory=dict)
     clock_shifts: Mapping[int, float] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
     swarm_damage: list[str] = field(default_factory=list)
+    namings: dict[int, list[Naming]] = field(default_factory=dict)
+    """By observer, as far as `names` has made them."""
 
     def true_place(self, drone_id: int, t: float) -> Array | None:
         rows = self.truth.get(drone_id)

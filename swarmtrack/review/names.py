@@ -4,39 +4,33 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
 from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.review.directions import place, predicted
-from swarmtrack.review.flight import ConfirmedLook, DroneFlight, ReviewedFlight, ReviewedScan
+from swarmtrack.review.flight import (
+    ConfirmedLook,
+    DroneFlight,
+    NameSpan,
+    Naming,
+    ReviewedFlight,
+    ReviewedScan,
+)
 
 SCAN_LASTS_S = 0.6  # s after a scan from which on nothing is known
 IN_VIEW_SHARE = 0.92  # of half the field of view: a drone at the border is half seen
 SAME_DRONE_DEG, OTHER_DRONE_DEG = 6.0, 15.0  # from a true direction: it is that one, or it is not
 
 
-class NameSpan(NamedTuple):
-    """From begin to end [s]. state: named, wrong, unnamed (a track without a name may be it), undetected (in view, and
-    there is no track), away (out of view), blind (the camera or the agent is silent). why: in words."""
-
-    begin: float
-    end: float
-    state: str
-    why: str
-
-
-class Naming(NamedTuple):
-    """How one observer named one teammate over the flight."""
-
-    observer: int
-    teammate: int
-    spans: tuple[NameSpan, ...]
-
-
 def namings(flight: ReviewedFlight, drone: DroneFlight) -> list[Naming]:
-    """One for every teammate."""
+    """One for every teammate; made once for each flight."""
+    if drone.drone_id not in flight.namings:
+        flight.namings[drone.drone_id] = _namings(flight, drone)
+    return flight.namings[drone.drone_id]
+
+
+def _namings(flight: ReviewedFlight, drone: DroneFlight) -> list[Naming]:
     everybody = flight.drones.keys() | flight.truth.keys() | {who for _, who in drone.announced}
     return [
         Naming(drone.drone_id, teammate, _spans(flight, drone, teammate))

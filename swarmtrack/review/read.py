@@ -31,6 +31,7 @@ from swarmtrack.messages import (
     SightingReport,
     TrackStatus,
 )
+from swarmtrack.monitor.own_recording import DECODE_SCAN_HEAD, EGO_HISTORY_S, HEEDED_INPUTS, UNREADABLE_RECORD
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.merge import SAID_TOPIC, Shift, SightingTimes, shifts_by, utc_offset
 from swarmtrack.recording.reader import FLIGHT_PLAN, Message, Recording, recordings_below
@@ -52,30 +53,16 @@ from swarmtrack.runtime.swarm_recorder import HEARD_TOPIC, TRUTH_TOPIC, read_hea
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
 from swarmtrack.wire import codec
-from swarmtrack.wire.checks import DecodeError
+from swarmtrack.wire.checks import symmetric
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.records import from_record
 from swarmtrack.wire.sightings import SightingsMessage
 from swarmtrack.wire.tracks import TracksMessage
 
 SCAN_PERIOD_S = 0.2  # s between two scans that are kept: what a page can show
-EGO_KEPT_S = 2.0
 IMU_TOPIC = "/imu"
 DETECTIONS_TOPIC = "/detections"
-_INPUT_TOPICS = frozenset(
-    inputs.FORM_OF_KIND[kind].topic
-    for kind in (
-        EgoPose,
-        FlightState,
-        AutopilotRebooted,
-        Announcement,
-        SightingReport,
-        PeerArrived,
-        PeerDeparted,
-        IdClash,
-    )
-)
-_OWN_TOPICS = _INPUT_TOPICS | {
+_OWN_TOPICS = HEEDED_INPUTS | {
     HEALTH_RECORDS.name,
     IMU_TOPIC,
     DETECTIONS_TOPIC,
@@ -83,17 +70,8 @@ _OWN_TOPICS = _INPUT_TOPICS | {
     outputs.TRACKS_TOPIC,
     outputs.SETPOINTS_TOPIC,
 }
-_UNREADABLE = (RecordingError, DecodeError, msgspec.MsgspecError, ValueError, KeyError, TypeError)
-
 Progress = Callable[[str, int, int], None]
 """What is read now, the how manieth it is, and of how many."""
-
-
-class _ScanTime(msgspec.Struct):
-    """As much of a record as tells its time."""
-
-    t_s: float
-    camera: int = 0
 
 
 class _Frame(msgspec.Struct):
@@ -102,7 +80,6 @@ class _Frame(msgspec.Struct):
     score: list[float | str]
 
 
-_DECODE_HEAD = msgspec.json.Decoder(_ScanTime).decode
 _DECODE_FRAME = msgspec.json.Decoder(_Frame).decode
 
 
@@ -202,7 +179,7 @@ class _Own:
         )
         self._flight.max_age_s = settings.config.cameras[0].max_age_s
         self._flight.asked_fps = _asked_fps(settings.config.cameras[0].source)
-        self._ego = make_ego_history(settings.config, settings.start, history_s=EGO_KEPT_S)
+        self._ego = make_ego_history(settings.config, settings.start, history_s=EGO_HISTORY_S)
 
     def read(self) -> None:
         for message in self.recording.messages(_OWN_TOPICS):
@@ -213,19 +190,19 @@ class _Own:
             try:
                 self.times.note(message)
                 self._take(message, t)
-            except _UNREADABLE:
+            except UNREADABLE_RECORD:
                 self._flight.refused += 1
 
     def _take(self, message: Message, t: float) -> None:
         topic = message.topic
         if topic == IMU_TOPIC:
             self._imu.append(t)
-        elif topic in _INPUT_TOPICS:
+        elif topic in HEEDED_INPUTS:
             self._on_input(inputs.decode(topic, message.data)[1], t)
         elif topic == DETECTIONS_TOPIC:
             self._frames.append((t, float(len(_DECODE_FRAME(message.data).score))))
         elif topic == outputs.TRACKS_TOPIC:
-            head = _DECODE_HEAD(message.data)
+            head = DECODE_SCAN_HEAD(message.data)
             if head.t_s >= self._next_scan.get(head.camera, -math.inf):
                 self._next_scan[head.camera] = head.t_s + SCAN_PERIOD_S - 0.01
                 self._on_scan(outputs.decode_report(message.data).report)
@@ -262,7 +239,7 @@ class _Own:
     def _on_scan(self, report: ScanReport) -> None:
         exposed = report.tracks.t
         pose = self._ego.at(exposed)
-        stand = None if pose is None else Stand(exposed, pose.position, pose.world_from_body)
+        stand = None if pose is None else Stand(pose.position, pose.world_from_body)
         looks = []
         for entry in report.tracks.tracks:
             track, relative = entry.track, entry.relative
@@ -272,7 +249,6 @@ class _Own:
             bearing = self._cameras[track.camera].bearing_undistorted(pixel)[0]
             looks.append(
                 ConfirmedLook(
-                    exposed + self._offset,
                     entry.identity,
                     entry.identity_probability,
                     bearing if np.isfinite(bearing).all() else None,
@@ -293,10 +269,7 @@ class _Own:
         flight.placed, flight.placeless = (np.array(self._placed[one]) + offset for one in (True, False))
         flight.sent = {key: t + self._offset + offset for key, t in self.times.sent.items()}
         flight.health = [(t + offset, message) for t, message in flight.health]
-        flight.scans = [
-            scan._replace(t=scan.t + offset, looks=tuple(o._replace(t=o.t + offset) for o in scan.looks))
-            for scan in flight.scans
-        ]
+        flight.scans = [scan._replace(t=scan.t + offset) for scan in flight.scans]
         flight.heard = [one._replace(t=one.t + offset, sent_t=one.sent_t + offset) for one in flight.heard]
         flight.alive = [(t + offset, who, there) for t, who, there in flight.alive]
         flight.reboots = [t + offset for t in flight.reboots]
@@ -341,7 +314,7 @@ class _Swarm:
                 address = keys.parse(heard.key)
                 if address is not None:
                     self._take(address, heard.payload, heard.t + offset)
-            except _UNREADABLE:
+            except UNREADABLE_RECORD:
                 continue
 
     def _take(self, address: keys.Address, payload: bytes, t: float) -> None:
@@ -360,7 +333,7 @@ class _Swarm:
         if address.kind is Kind.HEALTH:
             flight.health.append((t, codec.decode(HealthMessage, payload)))
         elif address.kind is Kind.TRACKS and (not flight.scans or t - flight.scans[-1].t >= SCAN_PERIOD_S):
-            flight.scans.append(ReviewedScan(t, None, _looks(codec.decode(TracksMessage, payload), t)))
+            flight.scans.append(ReviewedScan(t, None, _looks(codec.decode(TracksMessage, payload))))
 
     def flights(self, offset: float) -> list[DroneFlight]:
         """Of all that were heard, moved by offset [s]."""
@@ -369,10 +342,7 @@ class _Swarm:
                 one._replace(begin=one.begin + offset, end=one.end + offset) for one in flight.lives
             ]
             flight.health = [(t + offset, message) for t, message in flight.health]
-            flight.scans = [
-                scan._replace(t=scan.t + offset, looks=tuple(o._replace(t=o.t + offset) for o in scan.looks))
-                for scan in flight.scans
-            ]
+            flight.scans = [scan._replace(t=scan.t + offset) for scan in flight.scans]
         return list(self._flights.values())
 
     def truth(self, offset: float) -> Mapping[int, Array]:
@@ -392,24 +362,15 @@ class _Swarm:
         }
 
 
-def _looks(message: TracksMessage, t: float) -> tuple[ConfirmedLook, ...]:
+def _looks(message: TracksMessage) -> tuple[ConfirmedLook, ...]:
     relatives = {relative.track_id: relative for relative in message.relatives}
     looks = []
     for number, track in enumerate(message.tracks):
         if track.status != "confirmed":
             continue
         relative = relatives.get(track.id)
-        cov = None if relative is None else _upper(relative.cov)[:3, :3]
+        cov = None if relative is None else symmetric(np.array([relative.cov]), 6)[0, :3, :3]
         position = None if relative is None else np.array(relative.position_m)
         camera = message.camera_of(number)
-        looks.append(
-            ConfirmedLook(t, track.identity, track.identity_probability, None, position, cov, camera)
-        )
+        looks.append(ConfirmedLook(track.identity, track.identity_probability, None, position, cov, camera))
     return tuple(looks)
-
-
-def _upper(numbers: Sequence[float]) -> Array:
-    """(6, 6) of its upper triangle, by rows."""
-    whole = np.zeros((6, 6))
-    whole[np.triu_indices(6)] = numbers
-    return whole + np.triu(whole, 1).T

@@ -6,17 +6,16 @@ import asyncio
 import json
 import re
 import secrets
-import signal
 import socket
-import sys
 from contextlib import asynccontextmanager
 
 import aiohttp
 import numpy as np
 import pytest
 
+from support.monitor_process import monitor_lines
 from support.patience import PATIENCE, eventually
-from support.places import DOCS, ROOT
+from support.places import DOCS
 
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
 pytest.importorskip("google.protobuf", reason="protobuf is not installed")
@@ -52,30 +51,15 @@ def heard(tmp_path_factory):
 @asynccontextmanager
 async def connected(*arguments, leaves=()):
     """A client of a monitor of its own process, and the monitor's page."""
-    process = await asyncio.create_subprocess_exec(
-        *(
-            sys.executable,
-            "-m",
-            "swarmtrack.agents.main",
-            "monitor",
-            "--port",
-            "0",
-            "--foxglove",
-            "0",
-            *arguments,
-        ),
-        stdout=asyncio.subprocess.PIPE,
-        cwd=ROOT,
-    )
-    try:
-        async with asyncio.timeout(PATIENCE), aiohttp.ClientSession() as http:
-            page = re.search(r"http\S+", (await process.stdout.readline()).decode())[0]
-            url = re.search(r"ws://127\.0\.0\.1:\d+", (await process.stdout.readline()).decode())[0]
-            async with http.ws_connect(url, protocols=("foxglove.sdk.v1",)) as viewer:
-                yield FoxgloveClient(viewer, leaves), http, page
-    finally:
-        process.send_signal(signal.SIGTERM)
-        assert await asyncio.wait_for(process.wait(), PATIENCE) == 0
+    async with (
+        monitor_lines("--foxglove", "0", *arguments) as lines,
+        asyncio.timeout(PATIENCE),
+        aiohttp.ClientSession() as http,
+    ):
+        page = re.search(r"http\S+", (await lines.readline()).decode())[0]
+        url = re.search(r"ws://127\.0\.0\.1:\d+", (await lines.readline()).decode())[0]
+        async with http.ws_connect(url, protocols=("foxglove.sdk.v1",)) as viewer:
+            yield FoxgloveClient(viewer, leaves), http, page
 
 
 def place_of(client, frame):

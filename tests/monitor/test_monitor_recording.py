@@ -7,7 +7,6 @@ import contextlib
 import json
 import re
 import secrets
-import signal
 import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
@@ -18,6 +17,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from support.monitor_process import monitor_lines
 from support.patience import PATIENCE
 
 pytest.importorskip("foxglove", reason="foxglove-sdk has no wheel here")
@@ -337,27 +337,9 @@ def test_a_recording_beside_a_swarm_is_a_mistake(heard, capsys):
 @asynccontextmanager
 async def playing(folder: Path) -> AsyncIterator[str]:
     """The address of `swarmtrack monitor --recording`."""
-    process = await asyncio.create_subprocess_exec(
-        *(
-            sys.executable,
-            "-m",
-            "swarmtrack.agents.main",
-            "monitor",
-            "--port",
-            "0",
-            "--recording",
-            str(folder),
-        ),
-        stdout=asyncio.subprocess.PIPE,
-        cwd=ROOT,
-    )
-    assert process.stdout is not None
-    try:
-        line = (await asyncio.wait_for(process.stdout.readline(), PATIENCE)).decode()
+    async with monitor_lines("--recording", str(folder)) as lines:
+        line = (await asyncio.wait_for(lines.readline(), PATIENCE)).decode()
         yield re.search(r"http\S+", line)[0]  # type: ignore[index]
-    finally:
-        process.send_signal(signal.SIGTERM)
-        assert await asyncio.wait_for(process.wait(), PATIENCE) == 0
 
 
 def test_only_wishes_that_a_page_has_are_granted(heard):

@@ -49,6 +49,7 @@ from swarmtrack.lab.scenarios.scenario import (
     HOVER_S,
     LOCKSTEP_SKEW,
     SCENARIO_ORIGIN,
+    AnnouncedStart,
     AutopilotKind,
     DroneId,
     Ghosts,
@@ -600,6 +601,18 @@ def _with_errands(
     return run_errands(world, ids, shape.errand, file.sway_m, responses)
 
 
+def _announced(
+    world: World, agents: AgentsSection, autopilots: Mapping[int, AutopilotKind]
+) -> dict[int, AnnouncedStart]:
+    """Starts by drone; of those whose position walks as vague as the manual has it."""
+    starts = announced_starts(world, agents.position_sigma_m, agents.swapped)
+    walking = {n for n in starts if n in autopilots and autopilots[n].ego.walks_m[1] > 0.0}
+    return starts | {
+        n: dataclasses.replace(starts[n], position_sigma_m=max(starts[n].position_sigma_m, WALKING_SIGMA_M))
+        for n in walking
+    }
+
+
 def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> Scenario:
     ids = _formation_ids(file, _team_size(file, drones)) if file.formation is not None else []
     members = sorted([*ids, *(drone.id for drone in file.drone if not drone.stranger)])
@@ -626,13 +639,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
     if file.wind is not None:
         world = file.wind.blows(world)
     strangers = frozenset(drone.id for drone in file.drone if drone.stranger)
-    starts_at = announced_starts(world, agents.position_sigma_m, agents.swapped)
-    # As the manual has it for those whose position walks.
-    starts_at |= {
-        drone_id: dataclasses.replace(start, position_sigma_m=max(start.position_sigma_m, WALKING_SIGMA_M))
-        for drone_id, start in starts_at.items()
-        if drone_id in autopilots and autopilots[drone_id].ego.walks_m[1] > 0.0
-    }
+    starts_at = _announced(world, agents, autopilots)
 
     def in_turn(values: Sequence[float], factor: float = 1.0) -> dict[int, float]:
         return dict(zip(members, itertools.cycle([factor * value for value in values]), strict=False))

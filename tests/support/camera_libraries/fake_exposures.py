@@ -4,12 +4,12 @@ Frames arrive 50 ms later. CLOCK_BOOTTIME is ahead by an hour, as on a board tha
 """
 
 import itertools
+import math
 import os
 import time
 
 START = float(os.environ["FAKE_START"])
 LAST = int(os.environ["FAKE_LAST"])
-ENDLESS = 10**9
 ASLEEP = 3600.0
 EXPOSURE = 8e-3
 
@@ -19,12 +19,11 @@ time.clock_gettime = lambda clock: _clock_gettime(clock) + ASLEEP * (clock == ti
 
 def exposures():
     """Numbers and middles of exposures, each when it has arrived; then the camera is unplugged."""
-    for k in itertools.count():
-        middle = START + k / 30.0
-        if k > LAST:
+    # A camera keeps no pictures of the time before its program was up.
+    first = max(0, math.ceil(30.0 * (time.monotonic() - START)))
+    for k in itertools.count(first):
+        if k > first + LAST:
             raise RuntimeError("the fake camera is unplugged")
-        wait = middle + 0.05 - time.monotonic()
-        if wait < -0.1 and LAST >= ENDLESS:
-            continue  # before this program was up: a camera keeps no old pictures
-        time.sleep(max(0.0, wait))
+        middle = START + k / 30.0
+        time.sleep(max(0.0, middle + 0.05 - time.monotonic()))
         yield k, middle
