@@ -115,9 +115,9 @@ def slopes_through(exchanges: Sequence[Exchange], slack: float) -> tuple[float, 
 class ClockMap:
     """Maps the autopilot's time stamps [s since its boot] to our monotonic clock [s].
 
-    offset: what is added to a stamp now; sigma: one standard deviation of it, constant part included; skew: of their
-    clock against ours [s/s], positive where it runs slow; drift: the part of it that no crystal has, 0 for a clock that
-    keeps time; resyncs: corrections too large to be brought in slowly; restarts: how often bounds crossed.
+    offset: what is added to a stamp now; skew: of their clock against ours [s/s], positive where it runs slow; drift:
+    the part of it that no crystal has, 0 for a clock that keeps time; resyncs: corrections too large to be brought in
+    slowly; restarts: how often bounds crossed.
     """
 
     def __init__(self) -> None:
@@ -128,7 +128,7 @@ class ClockMap:
     def reset(self) -> None:
         """Drop all state: the autopilot has rebooted."""
         self.offset: float | None = None
-        self.sigma = math.inf
+        self._line_sigma = math.inf
         self.skew = self.drift = 0.0
         self._newest = -math.inf
         self._past: deque[Exchange] = deque(maxlen=CLOCK_EXCHANGES_KEPT)
@@ -175,10 +175,17 @@ class ClockMap:
             width = self._width(stamp - self._reference)
             self._latency = max(0.0, width) / 2
             # Uniform between the bounds, plus how far the envelope itself is uncertain.
-            self.sigma = self._sigma(width / math.sqrt(12))
+            self._line_sigma = self._sigma(width / math.sqrt(12))
 
     def _step_variance_at(self, stamp: float) -> float:
         return self._step_variance * math.exp(-max(stamp - self._stepped_at, 0.0) / CLOCK_STEPS_LAST_S)
+
+    @property
+    def sigma(self) -> float:
+        """One standard deviation of the offset [s]: of the line, constant part included, and what the offset still has
+        to go to it."""
+        left = 0.0 if self.offset is None else self._target(self._newest) - self.offset
+        return math.hypot(self._line_sigma, left)
 
     @property
     def in_words(self) -> str:
@@ -234,6 +241,10 @@ class ClockMap:
     def _line(self, stamp: float) -> float:
         return self._intercept + self.skew * (stamp - self._reference)
 
+    def _target(self, stamp: float) -> float:
+        """Where the offset had better be: amid both envelopes."""
+        return self._line(stamp) - self._latency
+
     def _bound_above(self, stamp: float, arrival: float) -> None:
         if not self._upper.points:
             self._reference = stamp
@@ -264,7 +275,7 @@ class ClockMap:
         self.skew = self.drift + slope
         self._intercept = min(y - slope * x for x, y in points)
         if self._exchanges < CLOCK_LEAST_EXCHANGES:
-            self.sigma = self._sigma(CLOCK_UNKNOWN_LATENCY_S)
+            self._line_sigma = self._sigma(CLOCK_UNKNOWN_LATENCY_S)
 
     def _sigma(self, latency: float) -> float:
         """latency: standard deviation of what it may be wrong by."""
@@ -282,7 +293,7 @@ class ClockMap:
         return upper - max(y + self._slope * (x - xi) for xi, y in self._lower.points)
 
     def _slew(self, stamp: float) -> None:
-        target = self._line(stamp) - self._latency
+        target = self._target(stamp)
         elapsed = max(0.0, stamp - self._newest)
         self._newest = max(self._newest, stamp)
         if self.offset is None:

@@ -106,6 +106,24 @@ def test_an_early_backlog_is_one_hard_resync_not_a_slow_lie():
     assert clock_map.resyncs == 1
 
 
+def test_an_offset_that_slides_to_its_place_owns_up_to_the_way_that_is_left():
+    clock_map, late = ClockMap(), 0.8 * CLOCK_RESYNC_S
+    errors, sigmas = [], []
+    for i in range(int(6.0 * RATE)):
+        stamp = 40.0 + i / RATE
+        # The first second of a busy machine comes late.
+        arrival = truth(stamp) + (late if i < RATE else 2e-4)
+        clock_map.observe(stamp, arrival)
+        if i > 1.2 * RATE:
+            errors.append(clock_map.to_ours(stamp) - truth(stamp))
+            sigmas.append(clock_map.sigma)
+    assert errors[0] > 0.5 * late
+    assert clock_map.resyncs == 0
+    assert (np.abs(errors) < 2.0 * np.array(sigmas)).all()
+    assert errors[-1] == pytest.approx(0.0, abs=1e-3)
+    assert sigmas[-1] < 0.3 * sigmas[0]
+
+
 def test_after_a_reboot_nothing_of_the_old_clock_remains():
     clock_map = ClockMap()
     play(clock_map, 15.0, latency=lambda n: np.full(n, 1e-3), skew=500e-6)
