@@ -42,9 +42,10 @@ ASK_AFTER_SILENCE_S: Final = 1.2 * REPORT_PERIOD_S
 QUESTION_BACK_OFFS: Final = 6
 # Between two questions to those that owe no word: a hundred drones that do not report cost less than their keep-alives.
 QUESTION_REST_S: Final = 9.6
-# Leases without a word, until something is done; and the first period in which it is not done again for that teammate.
+# Leases without a word, until something is done; and the first period in which it is not done again for that teammate:
+# all links made anew, and our declarations repeated, a few hundred bytes to each.
 REOPEN_LEASES: Final = 2.0
-REMEDY_PERIOD_S: Final = 600.0
+REOPEN_PERIOD_S, REPEAT_PERIOD_S = 600.0, 30.0
 # So many times as many leases where packets wait: words may be among them, and new links would add to them.
 QUEUE_PATIENCE: Final = 4.0
 # Between two times that all links are made again, for different teammates; a start with two fifths lost takes ten.

@@ -193,7 +193,7 @@ class Peers:
         for drone_id in self._silence.to_ask(present, now):
             ask(drone_id)
         reopen = self._silence.to_reopen(present, now, queued=queued)
-        return Remedies(reopen, self._silence.to_repeat(present, now))
+        return Remedies(reopen, self._silence.to_repeat(present, now, queued=queued))
 
     def _present(self, linked: Collection[int]) -> set[int]:
         return {*self._membership.peers, *linked} - {self._drone_id}

@@ -13,10 +13,11 @@ Silence. A teammate is *not heard* after a lease without the word that it owes: 
 
 Remedies. Zenoh cannot close a link to a single peer. Links are closed, all of them, only where nothing at all is heard
 over them: a teammate that is silent while others are heard is deaf or mute itself. What may have been lost of *our*
-declarations is cheaper: where a linked teammate was never heard, or reports without having our announcement, we declare
-ourselves again over the links that stand. Each has a budget per teammate that no word of it renews: once in ten
-minutes, then twice as long. Where packets wait in a full radio (`pacing`), a word may be among them, and links are
-closed much later: new ones would be more for the radio to carry.
+declarations is cheaper: where a linked teammate is silent, or reports without having our announcement, we declare
+ourselves again over the links that stand. Each has a budget per teammate that no word of it renews: links are closed
+once in ten minutes, declarations repeated once in half a minute, and then after twice that time, and so on. Where
+packets wait in a full radio (`pacing`), a word may be among them, and both come much later: they would be more for the
+radio to carry.
 
 Pure state; times by any clock [s].
 """
@@ -32,9 +33,10 @@ from swarmtrack.transport.limits import (
     QUESTION_BACK_OFFS,
     QUESTION_REST_S,
     QUEUE_PATIENCE,
-    REMEDY_PERIOD_S,
     REOPEN_LEASES,
+    REOPEN_PERIOD_S,
     REOPEN_REST_S,
+    REPEAT_PERIOD_S,
     REPORT_PERIOD_S,
 )
 
@@ -72,9 +74,10 @@ class _Heard:
 
 
 class _RemedyBudget:
-    """Limit of one remedy: per teammate once in `REMEDY_PERIOD_S`, then in twice that time, and so on."""
+    """Limit of one remedy: per teammate once in its period, then in twice that time, and so on."""
 
-    def __init__(self) -> None:
+    def __init__(self, period_s: float) -> None:
+        self._first_period_s = period_s
         self._spent: dict[int, tuple[float, float]] = {}
         """By teammate: until when there is none left, and the period after that, s."""
 
@@ -83,7 +86,7 @@ class _RemedyBudget:
 
     def spend(self, drone_ids: Iterable[int], now: float) -> None:
         for drone_id in drone_ids:
-            _, period = self._spent.get(drone_id, (0.0, REMEDY_PERIOD_S))
+            _, period = self._spent.get(drone_id, (0.0, self._first_period_s))
             self._spent[drone_id] = now + period, 2.0 * period
 
 
@@ -94,8 +97,8 @@ class Silence:
     lease_s: float
     _all: dict[int, _Heard] = field(default_factory=dict)
     _told: set[int] = field(default_factory=set)
-    _reopening: _RemedyBudget = field(default_factory=_RemedyBudget)
-    _repeating: _RemedyBudget = field(default_factory=_RemedyBudget)
+    _reopening: _RemedyBudget = field(default_factory=lambda: _RemedyBudget(REOPEN_PERIOD_S))
+    _repeating: _RemedyBudget = field(default_factory=lambda: _RemedyBudget(REPEAT_PERIOD_S))
     _reopened_at: float = -math.inf
     _stranger_asked_at: float = -math.inf
     """When one was asked last that owed no word."""
@@ -174,7 +177,7 @@ class Silence:
         wait, and words may be among them."""
         here = set(present)
         silent = self.silent(here, now)
-        bearable = REOPEN_LEASES * self._patience_s * (QUEUE_PATIENCE if queued else 1.0)
+        bearable = self._bearable_s(queued)
         # One that is silent for good, and a short silence of all others, are not yet a session without a word.
         is_deaf = silent.keys() == here and all(s > bearable for s in silent.values())
         if not is_deaf or now - self._reopened_at < REOPEN_REST_S:
@@ -185,17 +188,24 @@ class Silence:
             self._reopened_at = now
         return deaf
 
-    def to_repeat(self, linked: Iterable[int], now: float) -> list[int]:
+    def to_repeat(self, linked: Iterable[int], now: float, *, queued: bool = False) -> list[int]:
         """Teammates for whose sake we are to declare ourselves again, over the links that stand."""
-        bearable = REOPEN_LEASES * self._patience_s
+        bearable = self._bearable_s(queued)
 
-        def needs(drone_id: int) -> bool:
-            one = self._all.get(drone_id)
-            if one is None or not self._repeating.allows(drone_id, now):
-                return False
-            since = one.heard if not one.is_heard else one.lacks_us
-            return since is not None and now - since > bearable
+        def lacks_us_s(drone_id: int) -> float:
+            since = self._all[drone_id].lacks_us if drone_id in self._all else None
+            return 0.0 if since is None else now - since
 
-        missing = sorted(filter(needs, set(linked)))
+        silent = self.silent(linked, now)
+        missing = sorted(
+            drone_id
+            for drone_id in set(linked)
+            if max(silent.get(drone_id, 0.0), lacks_us_s(drone_id)) > bearable
+            and self._repeating.allows(drone_id, now)
+        )
         self._repeating.spend(missing, now)
         return missing
+
+    def _bearable_s(self, queued: bool) -> float:
+        """How long a silence lasts until something is done."""
+        return REOPEN_LEASES * self._patience_s * (QUEUE_PATIENCE if queued else 1.0)

@@ -139,18 +139,29 @@ def test_a_hundred_that_report_nothing_are_asked_one_at_a_time_and_honest_slow_o
         assert slow.to_ask(everybody, 0.1 * tenth) == []
 
 
-def test_we_declare_ourselves_again_to_whoever_never_spoke_or_reports_without_knowing_us_and_rarely() -> None:
-    silence = Silence(LEASE_S)
-    silence.news([2, 3, 4], 0.0)
+def test_we_declare_ourselves_again_to_whoever_is_silent_or_reports_without_knowing_us_and_ever_more_rarely() -> (
+    None
+):
+    silence, all_linked = Silence(LEASE_S), [2, 3, 4, 5]
+    silence.news(all_linked, 0.0)
     repeated = []
-    for second in range(1300):
-        silence.news([2, 3, 4], float(second))
+    for second in range(100):
+        silence.news(all_linked, float(second))
         for drone in (3, 4):
             silence.mark_heard(drone, float(second), report=True)
+        if second < 10:  # heard until then, and after that its link lost our subscription
+            silence.mark_heard(5, float(second), report=True)
         silence.mark_known(3, float(second), known=False)
         silence.mark_known(4, float(second), known=second % 3 == 0)
-        repeated += [(drone, second) for drone in silence.to_repeat([2, 3, 4], float(second))]
-    assert repeated == [(2, 5), (3, 5), (2, 605), (3, 605)]
+        repeated += [(drone, second) for drone in silence.to_repeat(all_linked, float(second))]
+    assert repeated == [(2, 5), (3, 5), (5, 14), (2, 35), (3, 35), (5, 44), (2, 95), (3, 95)]
+
+
+def test_where_packets_wait_we_declare_ourselves_again_later() -> None:
+    silence = Silence(LEASE_S)
+    silence.news([2], 0.0)
+    assert silence.to_repeat([2], 15.5, queued=True) == []
+    assert silence.to_repeat([2], 16.5, queued=True) == [2]
 
 
 def test_no_socket_of_this_process_lingers_or_backs_off_and_none_is_left_open_by_looking() -> None:
