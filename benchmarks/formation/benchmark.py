@@ -38,6 +38,7 @@ from swarmtrack.lab.score.formation_score import (
     formation_score,
     slot_errors,
 )
+from swarmtrack.messages import Array
 
 NAME = "formation"
 # Of the law alone, without pictures (`meetings.py`).
@@ -122,13 +123,15 @@ class Noticed(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class FlownFormation:
-    """One flight. slots: how they were held, while the leader flew; held: share of that time in which a follower held;
-    farthest: m, that any was off its slot from being engaged on; gone: where the leader vanished; noticed: by whom
-    something broke, and what became of it; alarmed: share of the time since they were engaged in which those that
-    nothing is wrong with found their height or their flight wrong."""
+    """One flight. slots: how they were held, while the leader flew; following: m, the errors of whoever followed
+    then, and did not hold; held: share of that time in which a follower held; farthest: m, that any was off its
+    slot from being engaged on; gone: where the leader vanished; noticed: by whom something broke, and what became
+    of it; alarmed: share of the time since they were engaged in which those that nothing is wrong with found their
+    height or their flight wrong."""
 
     seed: int
     slots: SlotErrors
+    following: Array
     held: float
     farthest: float
     gone: LeaderGone | None = None
@@ -154,18 +157,15 @@ def fly(name: str, seed: int) -> FlownFormation:
         seen = np.cumsum([sample.intruder_seen for sample in samples]) > SEEN_S * COMMAND_HZ
         slots = slots._replace(nearest=min(slots.nearest, float(met[seen].min(initial=math.inf))))
     flying = (t >= DEPARTS_S) & (t < plan.gone_s)
+    follows = np.array([[why is Why.FOLLOW for why in sample.whys] for sample in samples])[flying]
     returning = _returning(plan)
-    whys = [
-        why
-        for sample, flies in zip(samples, flying, strict=True)
-        if flies
-        for k, why in enumerate(sample.whys)
-        if k != returning
-    ]
+    if returning is not None:
+        follows = np.delete(follows, returning, axis=1)
     return FlownFormation(
         seed,
         slots,
-        sum(why is not Why.FOLLOW for why in whys) / max(len(whys), 1),
+        slots.errors[follows],
+        1.0 - float(follows.mean()) if follows.size else 0.0,
         float(since_engaged.errors.max(initial=0.0)),
         after_it_vanished(t, team[:, 1:], plan.gone_s) if math.isfinite(plan.gone_s) else None,
         _noticed(flight) if plan.failure is not None and plan.failure.fault in WATCHED else None,
@@ -234,6 +234,7 @@ def _row(name: str, flown: Sequence[FlownFormation]) -> dict[str, Any]:
         "drones": FLIGHTS[name].drones,
         "runs": len(flown),
         "error_m": {"p50": score.error_p50_m, "p95": score.error_p95_m, "end_p95": score.end_p95_m},
+        "error_following_p95_m": float(np.percentile(np.concatenate([one.following for one in flown]), 95)),
         "min_separation_m": score.min_separation_m,
         "runs_below_1.5_m": sum(flight.slots.nearest < NEAR_MISS_M for flight in flown),
         "runs_with_a_lost_follower": sum(bool((flight.slots.last > LOST_SLOT_M).any()) for flight in flown),
@@ -266,6 +267,7 @@ COLUMNS: report.Columns = (
     ("flight", "{flight}"),
     ("runs", "{runs}"),
     ("error p50, p95 m", "{error_m[p50]:.2f}, {error_m[p95]:.2f}"),
+    ("of those that follow p95 m", "{error_following_p95_m:.2f}"),
     ("end p95 m", "{error_m[end_p95]:.2f}"),
     ("smallest separation m", "{min_separation_m:.2f}"),
     ("runs below 1.5 m", lambda row: str(row["runs_below_1.5_m"])),

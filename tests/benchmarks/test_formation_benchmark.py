@@ -74,10 +74,10 @@ def test_a_flight_is_the_same_again_to_the_last_bit():
 def test_rows_count_what_flights_say():
     def flight(seed, last, nearest):
         errors = SlotErrors(np.array([[0.5], [1.0]]), np.array([last]), nearest)
-        return benchmark.FlownFormation(seed, errors, 0.1, farthest=last)
+        return benchmark.FlownFormation(seed, errors, errors.errors[0], 0.1, farthest=last)
 
     row = benchmark._row("star-3", [flight(0, 0.4, 2.0), flight(1, 3.5, 1.4), flight(2, 0.6, 1.6)])
     assert (row["runs"], row["runs_below_1.5_m"], row["runs_with_a_lost_follower"]) == (3, 1, 1)
     assert row["min_separation_m"] == 1.4
     assert row["error_m"]["p50"] == pytest.approx(0.75)
-    assert "| star-3 | 3 | 0.75, 1.00 |" in benchmark._page({"rows": [row]})
+    assert "| star-3 | 3 | 0.75, 1.00 | 0.50 |" in benchmark._page({"rows": [row]})
