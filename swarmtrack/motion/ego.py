@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, insort
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,6 +73,26 @@ class TeamPose:
     def moved(self, by: Array) -> TeamPose:
         """The same pose moved by (3,) m."""
         return replace(self, position=self.position + by)
+
+
+class _Line(NamedTuple):
+    """A straight line through some poses: its middle [s] and place there (3,) m, its slope (3,) m/s; of how many poses,
+    and the sum of their squared distances from the middle [s²]."""
+
+    middle: float
+    place: Array
+    velocity: Array
+    poses: int
+    spread: float
+
+    @property
+    def velocity_cov(self) -> Array:
+        """(3, 3) m²/s²."""
+        return EGO_POSITION_JITTER_M**2 / self.spread * _EYE
+
+    def leverage(self, t: float) -> float:
+        """Variance of the line's place at t, over that of a single pose."""
+        return 1.0 / self.poses + (t - self.middle) ** 2 / self.spread
 
 
 class EgoHistory:
@@ -253,13 +274,18 @@ class EgoHistory:
 
     def steady(self, t: float) -> TeamPose | None:
         """The pose at t, with a place that does not jitter from one pose to the next: that of a straight line
-        through those around it. A comparison of positions within one second mistakes the jitter for motion.
+        through those around it, or through the newest, where that is steadier than a single pose: after a gap there are
+        too few for a line. A comparison of positions within one second mistakes the jitter for motion.
         """
         pose, line = self.at(t), self._line_around(t)
         if pose is None or line is None:
             return pose
-        middle, place, velocity, _ = line
-        return replace(pose, position=place + (t - middle) * velocity)
+        if line.leverage(t) > 1.0:
+            newest = self._poses[-1].t
+            line = self._line(newest - EGO_VELOCITY_SPAN_S, newest) or line
+        if line.leverage(t) > 1.0:
+            return pose
+        return replace(pose, position=line.place + (t - line.middle) * line.velocity)
 
     def moved(self, drone_id: int, boot: str, sequence: int) -> MotionReport | None:
         """Velocity and displacement of this drone since its first known position; None while unknown.
@@ -274,19 +300,18 @@ class EgoHistory:
         line = self._line(newest.t - EGO_VELOCITY_SPAN_S, newest.t)
         if line is None:
             return None
-        t, place, velocity, velocity_cov = line
         if self._first_place is None:
-            self._first_place = place
+            self._first_place = line.place
         return MotionReport(
             drone_id,
             boot,
             sequence,
-            t=t,
+            t=line.middle,
             t_sigma=newest.t_sigma,
-            displacement=place - self._first_place,
+            displacement=line.place - self._first_place,
             displacement_cov=newest.position_cov,
-            velocity=velocity,
-            velocity_cov=velocity_cov,
+            velocity=line.velocity,
+            velocity_cov=line.velocity_cov,
         )
 
     def velocity(self, t: float) -> tuple[Array, Array]:
@@ -294,8 +319,8 @@ class EgoHistory:
         line = self._line_around(t)
         if line is None:
             return np.zeros(3), EGO_SPEED_SIGMA_M_S**2 * np.eye(3)
-        middle, _, velocity, cov = line
-        return velocity, cov + (EGO_ACCELERATION_SIGMA_M_S2 * (t - middle)) ** 2 * np.eye(3)
+        ahead = t - line.middle
+        return line.velocity, line.velocity_cov + (EGO_ACCELERATION_SIGMA_M_S2 * ahead) ** 2 * np.eye(3)
 
     def flown_on(self, t: float) -> tuple[Array, Array, Array]:
         """What came after the newest pose: the way from there to t, straight on (3,) m; and `velocity` at t. No way
@@ -308,7 +333,7 @@ class EgoHistory:
         velocity, cov = self._newest_velocity
         return ahead * velocity, velocity, cov + (EGO_ACCELERATION_SIGMA_M_S2 * ahead) ** 2 * _EYE
 
-    def _line_around(self, t: float) -> tuple[float, Array, Array, Array] | None:
+    def _line_around(self, t: float) -> _Line | None:
         """`_line` of the poses on both sides of t, or of those before it; None where no place was ever known."""
         if self._placed is None:
             return None
@@ -316,9 +341,8 @@ class EgoHistory:
             t - EGO_VELOCITY_SPAN_S, t
         )
 
-    def _line(self, begin: float, end: float) -> tuple[float, Array, Array, Array] | None:
-        """A straight line through the poses of that time: its middle [s] and place there, its slope (3,) m/s and the
-        slope's covariance (3, 3). None of fewer than two."""
+    def _line(self, begin: float, end: float) -> _Line | None:
+        """A straight line through the poses of that time; None of fewer than two."""
         within = []
         for pose in reversed(self._poses):
             if pose.t < begin:
@@ -333,8 +357,7 @@ class EgoHistory:
         spread = float(off @ off)
         if spread <= 0.0:
             return None
-        slope = off @ places / spread
-        return middle, places.sum(axis=0) / len(times), slope, EGO_POSITION_JITTER_M**2 / spread * _EYE
+        return _Line(middle, places.sum(axis=0) / len(times), off @ places / spread, len(times), spread)
 
     def _place(self, pose: EgoPose) -> tuple[Array, Array] | None:
         """Position in the team frame and its covariance (3, 3); None where nobody can tell."""
@@ -379,7 +402,7 @@ class EgoHistory:
         line = self._line(last.t - EGO_VELOCITY_SPAN_S, last.t)
         if line is None:
             return None
-        expected = last.position + dt * line[2]
+        expected = last.position + dt * line.velocity
         return position - expected if has_leapt(expected, position, dt) else None
 
     def _connect_heading(self, pose: EgoPose) -> Array:

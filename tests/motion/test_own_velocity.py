@@ -81,3 +81,11 @@ def test_what_it_reports_is_as_late_as_its_autopilots_clock_may_be():
         ego.append(EgoPose(k / HZ, np.array([k / HZ, 0.0, 0.0]), np.eye(3), t_sigma=0.02 if k < 50 else 0.1))
     assert ego.moved(1, "0000000a", 1).t_sigma == 0.1
     assert [ego.at(t).t_sigma for t in (0.5, 0.505, 0.995, 1.2)] == [0.02, 0.02, 0.1, 0.1]
+
+
+def test_after_a_gap_a_steady_place_is_not_carried_on_along_a_line_through_a_few_jittering_poses():
+    rng, ego = np.random.default_rng(1), EgoHistory(origin=np.zeros(3))
+    for t in (*np.arange(0.0, 1.0, 0.02), 2.04, 2.06, 2.08):  # an agent that stood still
+        ego.append(EgoPose(t=t, position=rng.normal(0.0, 0.04, 3), world_from_body=np.eye(3)))
+    errors = [np.linalg.norm(ego.steady(t).position) for t in np.arange(1.7, 2.08, 0.02)]
+    assert max(errors) < 0.2  # 5 sigma of one pose
