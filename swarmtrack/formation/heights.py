@@ -4,8 +4,9 @@
 
 d [m] is the drift since the watch began, 0 then, and its rate a random walk; b [m] is the constant between two heights
 that were measured by different people, of which nothing is known; τ [rad] is the error of the own tilt, which lasts
-for seconds; r the error of the distance, in its own sigmas. b cannot be separated from a drift that ended before the
-watch began, nor can the drifting drone be identified: a finding is reported for both.
+for seconds; r the error of the distance, in its own sigmas. That lasts, too, but for what is learned of the distance:
+where its sigma has halved since, most of the former error is gone. b cannot be separated from a drift that ended before
+the watch began, nor can the drifting drone be identified: a finding is reported for both.
 
 Their sum is what a drone needs whose own height is vague, as by an ordinary receiver: it is how much too high its own
 height has it above a teammate.
@@ -130,6 +131,7 @@ class _Row:
         self.word = sight.word
         self.said = sight.said
         self.t = self.taken_t = sight.t
+        self._range_sigma = sight.range_sigma_log
         self.is_reported = False
         # Of the constant nothing is known but this: somebody may have begun to count far above, or below.
         self.x = np.array([0.0, 0.0, sight.off, 0.0, 0.0])
@@ -149,7 +151,7 @@ class _Row:
         return max(float(both.sum()), HEIGHT_LEAST_SIGMA_M**2)
 
     def add_sight(self, sight: HeightSight) -> None:
-        self._predict(sight.t - self.t)
+        self._predict(sight.t - self.t, sight.range_sigma_log)
         self.t, self.said = sight.t, sight.said
         H = np.array([1.0, 0.0, 1.0, sight.level, sight.lever])
         innovation = sight.off - float(H @ self.x)
@@ -172,8 +174,11 @@ class _Row:
             else off > max(HEIGHT_DRIFT_REPORTED_M, HEIGHT_DRIFT_SIGMAS * sigma)
         )
 
-    def _predict(self, dt: float) -> None:
+    def _predict(self, dt: float, range_sigma: float) -> None:
         tilt, distance = math.exp(-dt / TILT_ERROR_LASTS_S), math.exp(-dt / RANGE_ERROR_LASTS_S)
+        # Of two estimates of which one has learned more, the errors correlate like this.
+        distance *= min(range_sigma / self._range_sigma, self._range_sigma / range_sigma)
+        self._range_sigma = range_sigma
         F = np.diag([1.0, 1.0, 1.0, tilt, distance])
         F[DRIFT, CLIMB] = dt
         q = HEIGHT_RATE_WALK_M_S_SQRT_S**2
@@ -194,4 +199,5 @@ def _is_possible(sight: HeightSight) -> bool:
         abs(sight.off) < HEIGHT_FARTHEST_M
         and all(0.0 <= length < HEIGHT_FARTHEST_M for length in lengths)
         and sight.sigma >= HEIGHT_LEAST_SIGMA_M
+        and 0.0 < sight.range_sigma_log < HEIGHT_FARTHEST_M
     )

@@ -33,6 +33,7 @@ class HeightSight(NamedTuple):
     constant, and what has drifted. word: whose, and of which kind; the constant of each is its own. sigma [m]: of this
     scan alone. level [m]: level distance, by which an error of the own tilt [rad] counts; lever [m]: by how much an
     error of the distance of one sigma does. said [m]: the height that the teammate reports, as in `off`.
+    range_sigma_log: of the distance, as a share: what was learned of it since an earlier scan has changed its error.
     """
 
     drone_id: int
@@ -43,6 +44,7 @@ class HeightSight(NamedTuple):
     level: float
     lever: float
     said: float = 0.0
+    range_sigma_log: float = 1.0
 
 
 class _Word(NamedTuple):
@@ -101,6 +103,7 @@ class SaidHeights:
                     distance * math.hypot(north, east),
                     distance * abs(down) * state.range_sigma_log,
                     height,
+                    state.range_sigma_log,
                 )
             )
         return tuple(sights)

@@ -66,6 +66,28 @@ class Seen:
         return None
 
 
+def learned_distance(seed, first=0.2, last=0.05, learns_s=4.0):
+    """(sigma, error) of the logarithm of a distance, scan by scan, as an estimate's that takes in what it sees."""
+    rng = np.random.default_rng(seed)
+    sigma, error = first, first * rng.standard_normal()
+    for k in range(200):
+        before, sigma = sigma, last + (first - last) * math.exp(-DT * k / learns_s)
+        left = sigma / before
+        error = left**2 * error + sigma * math.sqrt(1.0 - left**2) * rng.standard_normal()
+        yield sigma, error
+
+
+def test_a_distance_that_is_learned_is_no_drift():
+    below, rng = 2.5, np.random.default_rng(0)
+    for seed in range(100):
+        watch = HeightWatch((1,))
+        for k, (sigma, error) in enumerate(learned_distance(seed)):
+            off = below * error + rng.normal(0.0, SIGMA)
+            seen = HeightSight(1, "a moved", DT * k, off, SIGMA, LEVEL, below * sigma, 0.0, sigma)
+            watch.add_sights([seen], seen.t)
+            assert watch.doubt is None
+
+
 @pytest.mark.parametrize("drift", [0.1, -0.1, 0.3])
 def test_a_drift_is_said_before_it_is_a_metre(drift):
     for seed in range(20):
