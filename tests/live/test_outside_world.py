@@ -204,12 +204,14 @@ def killed(tmp_path_factory) -> Flown:
         process = start(folder, *options)
         lines: list[str] = []
 
-        def read_until(*words: str) -> None:
-            while not lines or not any(word in lines[-1] for word in words):
-                lines.append(process.stdout.readline())
-                assert lines[-1], process.communicate()[1]
+        def read_until(*words: str, without: str = "Traceback") -> None:
+            line = ""
+            while not any(word in line for word in words) or without in line:
+                line = process.stdout.readline()
+                assert line, ("".join(lines), process.communicate()[1])
+                lines.append(line)
 
-        read_until("names ", "nothing to judge yet")
+        read_until("names ", "nothing to judge yet", without="not received yet")
         first = until(lambda: pid_of(folder, "drone-2.toml"), "drone 2 is started")
         os.kill(first, signal.SIGKILL)
         read_until("its agent was killed")

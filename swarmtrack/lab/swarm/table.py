@@ -180,6 +180,9 @@ def team_line(watch: Watch) -> Text:
     score = watch.scorer.score()
     text = Text(f"{watch.t:4.0f} s  {_identity_figures(score)}")
     judged = [agent.judged_t for agent in watch.agents.values() if agent.boot is not None]
+    unheard = [str(drone_id) for drone_id, agent in watch.agents.items() if agent.boot is None]
+    if unheard:
+        text.append(f"   (not received yet: drone {', '.join(unheard)})", style="yellow")
     for fault in watch.faults:
         text.append(f"   {describe_fault(fault)}", style="bold yellow")
     behind = watch.t - min((t for t in judged if not math.isnan(t)), default=watch.t)
