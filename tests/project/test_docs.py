@@ -325,7 +325,7 @@ def test_every_piece_of_a_config_fits_a_config(tmp_path, page, text):
 
 def test_every_cap_on_time_and_memory_has_the_test_that_holds_it():
     page = (ROOT / "docs" / "security.md").read_text(encoding="utf-8")
-    table = page.partition("## What things may cost")[2].partition("\n## ")[0]
+    table = page.partition("## Resource limits")[2].partition("\n## ")[0]
     rows = [row for row in table.splitlines() if row.startswith("| ") and "`" in row]
     assert len(rows) > 10
     for row in rows:
