@@ -107,7 +107,7 @@ DroneCount = Annotated[int, Strict(), Field(ge=1, le=MAX_SCENARIO_DRONES)]
 
 
 class ScenarioCameraSection(Section):
-    """[camera], or one of [[camera]]: what every drone carries."""
+    """[camera], or one of [[camera]]: a camera on every drone."""
 
     fps: Annotated[Positive, Field(le=1000.0)] = Field(default=15.0, description="frames per second")
     intrinsics: Intrinsics | None = Field(
@@ -116,14 +116,14 @@ class ScenarioCameraSection(Section):
     )
     distortion: Lens | None = Field(default=None, description="the distortion that goes with intrinsics")
     body_from_camera: Mount | None = Field(
-        default=None, description="where the camera sits; 0.1 m ahead, looking along the nose, by default"
+        default=None, description="the camera's mounting; 0.1 m ahead, looking along the nose, by default"
     )
     phase: Annotated[Number, Field(ge=0.0, lt=1.0)] | None = Field(
         default=None,
-        description="by which share of a frame it exposes late; cameras share a frame evenly by default",
+        description="delay of its exposure, as a share of the frame interval; evenly spread by default",
     )
     mounting_sigma_deg: Annotated[Number, Field(ge=0.0, le=10.0)] = Field(
-        default=0.0, description="error of the config about its rotation, which it states; degrees per axis"
+        default=0.0, description="error of the angles in the configs, degrees per axis; the configs state it"
     )
 
     @model_validator(mode="after")
@@ -167,9 +167,9 @@ class AgentsSection(Section):
     position_sigma_m: Positive = Field(
         default=0.05, description="standard deviation of the measured starts, m per axis"
     )
-    announce: Switch = Field(default=True, description="false: they send each other nothing")
+    announce: Switch = Field(default=True, description="false: agents send each other nothing")
     share_hz: ShareRate | None = Field(
-        default=None, description="how often they share their velocities; never without this key"
+        default=None, description="rate at which they share their velocities; never without this key"
     )
     late: Annotated[int, Strict(), Field(ge=0)] = Field(
         default=0, description="how many agents start late: those with the highest IDs"
@@ -177,7 +177,7 @@ class AgentsSection(Section):
     late_by_s: Positive = Field(default=8.0, description="how late they start, s")
     swapped: tuple[DroneId, ...] = Field(
         default=(),
-        description="drones that stand on each other's places: each config has the next one's start",
+        description="drones on each other's pads: each one's config has the next one's start",
     )
 
 
@@ -189,10 +189,10 @@ class ClocksSection(Section):
     )
     autopilot_skew_ppm: tuple[Annotated[Number, Field(ge=-1000.0, le=1000.0)], ...] = Field(
         default=(),
-        description="how much too fast the autopilot's clock runs; 100 to 200 either way by default",
+        description="rate error of the autopilot's clock, positive: fast; ±100 to ±200 by default",
     )
     camera_offset_s: tuple[Annotated[Number, Field(ge=-0.15, le=0.15)], ...] = Field(
-        default=(), description="by how much the stamps of the camera's frames are late, s"
+        default=(), description="delay of the camera's stamps, s"
     )
     autopilot_boot_s: tuple[NotNegative, ...] = Field(
         default=(), description="reading of the autopilot's clock at world time 0, s"
@@ -204,13 +204,13 @@ class StarSection(Section):
     leads."""
 
     gap_m: Annotated[Number, Field(ge=3.0, le=30.0)] = Field(
-        default=5.0, description="from the leader to its followers, level, m"
+        default=5.0, description="horizontal distance from the leader to its followers, m"
     )
     layer_m: Annotated[Number, Field(ge=0.0, le=5.0)] = Field(
-        default=1.0, description="between the heights of neighbours and the leader's, m"
+        default=1.0, description="height of followers above or below the leader, m"
     )
     height_m: Annotated[Number, Field(ge=4.0, le=120.0)] = Field(
-        default=6.0, description="of the leader above the ground, m"
+        default=6.0, description="height of the leader above the ground, m"
     )
     takes_off_s: NotNegative | None = Field(
         default=None,
@@ -219,12 +219,12 @@ class StarSection(Section):
     engages_s: Positive = Field(
         default=3.0, description="when the followers' pilots let their agents fly, world time, s"
     )
-    judged_from_s: Positive = Field(description="from when on slots are judged, world time, s")
+    judged_from_s: Positive = Field(description="when the verdict on slots begins, world time, s")
     leader_leaves_s: Positive | None = Field(
-        default=None, description="from when on no drone sees the leader any more, world time, s"
+        default=None, description="when the leader leaves all views, world time, s"
     )
     sticks: Annotated[tuple[Stick, ...], Field(min_length=2)] = Field(
-        description="how the leader's pilot flies; at rest first and last"
+        description="velocities that the leader's pilot commands; the first and the last are 0"
     )
 
     @model_validator(mode="after")
@@ -263,12 +263,12 @@ class StarSection(Section):
 class FormationSection(Section):
     """[formation]: a shape for any number of drones, and how they move after the hover."""
 
-    drones: DroneCount = Field(description="how many drones, unless the command asks for another number")
+    drones: DroneCount = Field(description="number of drones, unless --drones is given")
     autopilots: tuple[AutopilotKind, ...] = Field(
         default=(), description="kinds of their autopilots, taken in turn; ArduPilot by default"
     )
-    ring: Ring | None = Field(default=None, description="shape: a circle, looking at its middle")
-    lanes: Lanes | None = Field(default=None, description="shape: two sides of lanes that face each other")
+    ring: Ring | None = Field(default=None, description="shape: a circle of drones that face its centre")
+    lanes: Lanes | None = Field(default=None, description="shape: lanes on two sides that face each other")
     errand: Errand | None = Field(
         default=None, description="shape and flight: a circle on the ground, take-offs, go-tos"
     )
@@ -277,9 +277,9 @@ class FormationSection(Section):
     )
     sway: Sway | None = Field(default=None, description="flight: each drone oscillates about its station")
     weave: Weave | None = Field(
-        default=None, description="flight, with lanes: the lanes swing sideways against each other"
+        default=None, description="flight, with lanes: neighbouring lanes swing in opposite directions"
     )
-    swing: Swing | None = Field(default=None, description="in addition: each drone looks left and right")
+    swing: Swing | None = Field(default=None, description="in addition: each drone yaws to and fro")
 
     @model_validator(mode="after")
     def _one_shape_and_one_flight(self) -> FormationSection:
@@ -308,8 +308,8 @@ class OscillationSection(Section):
 
     centre_m: Place = Field(description="[north, east, down], m")
     amplitude_m: Place = Field(description="[north, east, down], m")
-    frequency_hz: Vector = Field(description="of each axis")
-    phase_rad: Vector = Field(default=(0.0, 0.0, 0.0), description="of each axis at world time 0")
+    frequency_hz: Vector = Field(description="frequency of each axis")
+    phase_rad: Vector = Field(default=(0.0, 0.0, 0.0), description="phase of each axis at world time 0")
 
 
 class WaypointSection(Section):
@@ -319,7 +319,7 @@ class WaypointSection(Section):
 
 class OwnSwingSection(Section):
     peak_rad_s: Positive = Field(description="highest yaw rate")
-    period_s: Positive = Field(description="of one swing to and fro, s")
+    period_s: Positive = Field(description="period of one swing to and fro, s")
 
 
 class PlannedFlight(Section):
@@ -327,7 +327,7 @@ class PlannedFlight(Section):
 
     id: DroneId = Field(description="1 … 65535, unique")
     position_m: Place = Field(description="where it hovers first, [north, east, down], m; up is negative")
-    looks_at_m: Place | None = Field(default=None, description="a point that it faces wherever it flies")
+    looks_at_m: Place | None = Field(default=None, description="a point that it always faces")
     heading_deg: Number | None = Field(
         default=None, description="heading, clockwise from north, instead of looks_at_m"
     )
@@ -385,7 +385,7 @@ class DroneSection(PlannedFlight):
         default=False, description="true: it has no agent and does not belong to the team"
     )
     guided: Switch = Field(
-        default=False, description="true: it stands there on the ground until a program flies it by MAVLink"
+        default=False, description="true: it stands on the ground there until a program flies it by MAVLink"
     )
     autopilot: AutopilotKind = Field(default=AutopilotKind.ARDUPILOT, description="kind of its autopilot")
 
@@ -406,15 +406,15 @@ class DroneSection(PlannedFlight):
 class ScenarioFile(Section):
     """A whole file."""
 
-    about: Text = Field(description="one sentence: what it shows")
+    about: Text = Field(description="what the scenario shows, for --list")
     seconds: Positive = Field(description="length of the flight without --seconds, s")
-    hover_s: NotNegative = Field(default=HOVER_S, description="how long all drones hover first, s")
+    hover_s: NotNegative = Field(default=HOVER_S, description="how long all drones hover before they fly, s")
     drift_m: Annotated[Number, Field(ge=0.0, le=0.1)] = Field(
         default=DRIFT_M, description="error with which a drone holds its position, RMS per axis, m"
     )
     wind: Wind | None = None
     origin: TeamOrigin | None = Field(
-        default=None, description="{ lat_deg, lon_deg, alt_m } of the world's origin on the Earth"
+        default=None, description="{ lat_deg, lon_deg, alt_m } of the world's origin"
     )
     codes_s: tuple[NotNegative, ...] = Field(
         default=(), description="when all drones sway by their codes, world time, s"

@@ -17,12 +17,12 @@ HEAD = """\
 
 A scenario is a TOML file that says which drones fly, how, with which cameras, autopilots and radios, what fails, and
 what is expected. `swarmtrack sim FILE` flies it: real agents, simulated hardware, a verdict. `swarmtrack sim --list`
-lists those that are shipped; their files are in [configs/scenarios/](../configs/scenarios).
+lists the shipped ones; their files are in [configs/scenarios/](../configs/scenarios).
 
-Save this as `mine.toml`. Two drones hover face to face, then one flies an eight, and a stranger passes above it:
+Save this as `mine.toml`. Two drones hover face to face. Then one flies a figure of eight, and a stranger passes above:
 
 ```toml
-about = "one flies an eight, and a stranger passes"
+about = "one flies a figure of eight, and a stranger passes"
 seconds = 15.0
 
 [[drone]]
@@ -46,7 +46,7 @@ position_m = [14.0, -6.0, -10.0]
 waypoints = [{ at_s = 2.0, position_m = [14.0, -6.0, -10.0] }, { at_s = 12.0, position_m = [14.0, 6.0, -10.0] }]
 
 [agents]
-share_hz = 7.0                              # the team shares velocities, which strangers do not fly by
+share_hz = 7.0                              # the team shares velocities, which no stranger's motion matches
 
 [expected]
 correct = 0.9
@@ -56,18 +56,18 @@ correct = 0.9
 swarmtrack sim mine.toml --detector oracle
 ```
 
-A mistake is reported with file, line and the nearest known key. `--seed` changes what is left to chance, `--drones`
-the number of drones of a `[formation]`. A path in the current folder ends in `.toml` or holds a `/`.
+A mistake is reported with file, line and the nearest known key. `--seed` changes everything random, `--drones` the
+number of drones of a `[formation]`. `sim` takes a name for a file if it ends in `.toml` or contains a `/`.
 
-A scenario that should stay belongs in `configs/scenarios/`, with a comment on what it shows; tests then fly it with an
-oracle. For autopilots from outside, such as your own SITL, write [a world](rehearse.md) instead.
+A scenario for everyone belongs in `configs/scenarios/`, with a comment on what it shows; tests then fly it with the
+oracle detector. For autopilots simulated elsewhere, such as your own SITL, write [a world](rehearse.md) instead.
 
-The tables below are generated from the models that read scenarios by `swarmtrack config reference --scenario`; a test
-keeps them up to date.
+World time counts from the beginning of the flight. `swarmtrack config reference --scenario` generates the tables below
+from the models that read scenarios; a test keeps them up to date.
 """
 PARAMETERS: dict[str, tuple[type, str]] = {
     "detector": (DetectorParameters, "A statistical detector, for `--detector oracle`."),
-    "expected": (Limits, "What the verdict expects of the flight."),
+    "expected": (Limits, "Limits of the verdict."),
 }
 
 
@@ -93,7 +93,7 @@ def scenario_reference() -> str:
         parts.append(key_table(rows))
     top = {key: schema["properties"][key] for key in of_file}
     rows = key_rows({"properties": top, "required": schema["required"]}, definitions)
-    parts[1:1] = ["## The file\n\nThese stand above all tables.\n", key_table(rows)]
+    parts[1:1] = ["## The file\n\nThese keys come before the first table.\n", key_table(rows)]
     return "\n".join(parts)
 
 

@@ -120,9 +120,9 @@ DroneId = Annotated[int, Strict(), Field(ge=1, le=65535)]
 
 
 class ScenarioFault(Section):
-    """[[fault]]: what goes wrong from world time `at_s` on for `seconds`, with `drones`."""
+    """[[fault]]: a failure of `drones` from world time `at_s` on, for `seconds`."""
 
-    kind: FaultKind = Field(description="what fails; a loss, a latency and clutter have a value")
+    kind: FaultKind = Field(description="what fails; loss, latency and clutter need a value")
     at_s: NotNegative = Field(description="when it starts, world time, s")
     seconds: NotNegative = Field(
         default=0.0,
@@ -176,9 +176,9 @@ class Radio(Section):
 
     loss: Share = Field(default=0.0, description="share of the frames that are lost")
     latency_s: NotNegative = Field(default=0.0, description="delay of every frame, s")
-    jitter_s: NotNegative = Field(default=0.0, description="±, of the latency, s")
+    jitter_s: NotNegative = Field(default=0.0, description="variation of the latency, ±, s")
     kbit_s: Annotated[Number, Field(ge=1.0, le=1e6)] | None = Field(
-        default=None, description="what each drone's radio sends at most, kbit/s"
+        default=None, description="data rate of each drone's radio, at most, kbit/s"
     )
 
 
@@ -186,11 +186,11 @@ PERFECT_RADIO = Radio()
 
 
 class Wind(Section):
-    """[wind]: steady, with gusts; drones lean into it. From any direction, by the seed."""
+    """[wind]: steady, with gusts; drones lean into it. The seed sets its direction."""
 
     speed_m_s: Annotated[Number, Field(ge=0.0, le=12.0)] = Field(description="mean speed, m/s")
     gusts_m: Annotated[Number, Field(ge=0.0, le=0.5)] = Field(
-        default=GUSTS_M, description="by which gusts move a drone from its place, RMS per axis, m"
+        default=GUSTS_M, description="displacement of a drone by gusts, RMS per axis, m"
     )
 
     def blows(self, world: World) -> World:
@@ -220,16 +220,16 @@ class Ghost:
 
 
 class Ghosts(Section):
-    """[ghosts]: fixed points on which the detector fires again and again."""
+    """[ghosts]: fixed points that the detector repeatedly takes for drones."""
 
     count: Annotated[int, Strict(), Field(ge=0, le=1000)] = Field(
-        default=4, description="how many; none without this table"
+        default=4, description="number of ghosts; 0 without this table"
     )
     p_detection: tuple[Share, Share] = Field(default=(0.3, 0.9), description="per frame, [least, most]")
     score: tuple[Share, Share] = Field(default=(0.47, 0.64), description="[least, most]")
     distance_m: Range = Field(default=(12.0, 40.0), description="[nearest, farthest], m")
     height_m: Range = Field(default=(0.5, 6.0), description="above the ground, [lowest, highest], m")
-    size_m: Range = Field(default=(0.5, 1.5), description="of the boxes, [least, most], m")
+    size_m: Range = Field(default=(0.5, 1.5), description="size of the boxes, [least, most], m")
 
     def drawn(self, world: World) -> tuple[Ghost, ...]:
         """Ghosts in the directions in which drones look for each other: each behind one as another one sees it, give or
@@ -601,7 +601,7 @@ class Weave(Section):
     Each side has its own period, drawn from a range of s. As its lanes share it, they meet where both are fast.
     """
 
-    reach_m: Positive = Field(description="to either side, m")
+    reach_m: Positive = Field(description="amplitude, to either side, m")
     period_s: Range = Field(description="[shortest, longest], s")
 
     def path(self, world: World, drone_id: int, station: Station) -> Path:

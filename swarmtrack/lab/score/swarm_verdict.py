@@ -49,41 +49,41 @@ class Limits:
     """What is expected of a flight, unless its scenario says otherwise in [expected]."""
 
     correct: float = 0.97
-    """Right names, at least, as a share."""
+    """Minimum share of correct names."""
     proved: float = 0.0
-    """Of correct names, at least, confirmed by motion: 0 where no drone shares its velocity."""
+    """Minimum share of correct names that are confirmed by motion; 0 where no drone shares its velocity."""
     wrong: float = 0.001
-    """Wrong names, at most, as a share."""
+    """Maximum share of wrong names."""
     agreement: float = 0.99
-    """At least, where two observers see the same drone."""
+    """Minimum share of equal names where two observers name the same drone."""
     time_to_identify_s: float = 2.0
-    """At most, from a drone's appearance to its name, s."""
+    """Maximum time from a drone's appearance to its name, s."""
     rmse_px: float = 2.5
-    """At most, of the tracks, in an image 640 px wide."""
+    """Maximum RMSE of the tracks, in an image 640 px wide."""
     all_known_s: float = 5.0
-    """At most, from the last start of an agent until each has all announcements, s."""
+    """Maximum time from the last start of an agent until each has all announcements, s."""
     rate: float = 0.95
-    """Of tracks and IMU samples: at least this share of what the configs ask for."""
+    """Minimum rate of tracks and of IMU samples, as a share of the configured one."""
     false_tracks_per_s: float = 0.2
-    """At most, of one observer: tracks of nothing."""
+    """Maximum number of false tracks of one observer, per second."""
     announcement_bytes: int = 300
-    """At most, of one announcement as it is received."""
+    """Maximum size of one announcement as it is received, bytes."""
     first_tracks_s: float = 5.0
-    """At most, from the beginning of the flight, or from a late agent's start, to its first tracks, s."""
+    """Maximum time from the beginning of the flight, or from a late agent's start, to its first tracks, s."""
     slot_p50_m: float = 1.0
-    """In formation: half of all distances from a slot are at most so large, m."""
+    """In formation: maximum median distance from the slots, m."""
     slot_p95_m: float = 2.5
-    """In formation: 95 % of them, m."""
+    """In formation: maximum 95 % quantile of the distance from the slots, m."""
     slot_end_p95_m: float = 1.5
-    """In formation: 95 % of the followers' mean distances at the end, m."""
+    """In formation: maximum 95 % quantile of the followers' mean distances at the end, m."""
     separation_m: float = NEAR_MISS_M
-    """In formation: distance between any two drones, at least, at any time, m."""
+    """In formation: minimum distance between any two drones at any time, m."""
     lost: int = 0
-    """In formation: followers far off their slots at the end, at most."""
+    """In formation: maximum number of followers far off their slots at the end."""
     leader_gone_m_s: float = 0.5
-    """In formation: speed of the fastest follower, at most, 4 s after the leader has left every view, m/s."""
+    """In formation: maximum speed of any follower 4 s after the leader has left every view, m/s."""
     leader_gone_m: float = 6.0
-    """In formation: how far any follower flies on then, at most, m."""
+    """In formation: maximum distance that any follower then flies on, m."""
 
 
 @dataclass(frozen=True, slots=True)

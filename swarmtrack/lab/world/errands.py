@@ -49,11 +49,11 @@ class Errand(Section):
     """On the ground, into the air, on errands: drones on a circle look at its middle. Each waits ground_s and its turn,
     and climbs. After hover_s its go-tos begin; they lead reach_m away from its station at most."""
 
-    spacing_m: Annotated[Number, Field(ge=4.0)] = Field(default=8.0, description="distance to the next, m")
+    spacing_m: Annotated[Number, Field(ge=4.0)] = Field(default=8.0, description="neighbour distance, m")
     ground_s: NotNegative = Field(default=7.0, description="how long they stand on the ground, s")
-    hover_s: NotNegative = Field(default=6.0, description="between the climb and the first go-to, s")
+    hover_s: NotNegative = Field(default=6.0, description="hover between the climb and the first go-to, s")
     heights_m: Heights = Field(default=(5.8, 6.5), description="heights above the ground, taken in turn, m")
-    reach_m: Positive = Field(default=2.5, description="of the go-tos, m")
+    reach_m: Positive = Field(default=2.5, description="maximum distance of go-tos from the station, m")
 
 
 def fly_errands(

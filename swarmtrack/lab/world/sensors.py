@@ -298,9 +298,9 @@ class DetectorParameters:
     size_sigma: float = 0.05
     """Error of a box's sides, relative."""
     clutter_per_frame: float = 0.1
-    """Mean number of false detections."""
+    """Mean number of false detections per frame."""
     p_merged: float = 0.3
-    """Probability that of two drones which overlap heavily one box around both is found."""
+    """Probability that two drones that overlap heavily are found as one box around both."""
 
     def __post_init__(self) -> None:
         for name, most in (("p_detection", 1.0), ("p_merged", 1.0), ("clutter_per_frame", 1000.0)):

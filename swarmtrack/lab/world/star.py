@@ -64,7 +64,7 @@ class Stick(Section):
     """Where the leader's sticks are at a world time, as the velocity that they ask for."""
 
     at_s: NotNegative = Field(description="world time, s; later than the previous one")
-    velocity_m_s: Velocity = Field(description="[north, east, down], m/s; linear from one to the next")
+    velocity_m_s: Velocity = Field(description="[north, east, down], m/s; linear in between")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
