@@ -19,20 +19,20 @@ BENCHMARKS = {
     ),
     "calibration": (
         "swarmtrack.benchmarks.calibration",
-        "calibrations by hand and by board, against the truth",
+        "errors of calibrations by hand and by board",
     ),
     "clients": (
         "swarmtrack.benchmarks.hundred_clients",
         "time until all announcements are known, up to 100 drones",
     ),
-    "clips": ("swarmtrack.benchmarks.real_clips", "real drones on labelled clips, through the agent"),
+    "clips": ("swarmtrack.benchmarks.real_clips", "real drones on labelled clips, tracked by the agent"),
     "cost": (
         "swarmtrack.benchmarks.cost",
-        "costs of an agent, metres, formation commands and the monitor; or of all, compared with another checkout",
+        "cost of an agent, metres, formation commands and the monitor; or of everything, against another checkout",
     ),
     "detection-noise": (
         "swarmtrack.benchmarks.detection_noise",
-        "errors of the shipped detector's boxes, and the pairs that it resolves",
+        "errors of the shipped detector's boxes, and which pairs of drones it separates",
     ),
     "detector": (
         "swarmtrack.benchmarks.detector",
@@ -44,7 +44,7 @@ BENCHMARKS = {
     ),
     "errand": (
         "swarmtrack.benchmarks.errands.benchmark",
-        "take-off, go-tos and turns: the camera's clock, names among ghosts",
+        "take-off, go-tos and turns: the camera's time offset, and names despite ghosts",
     ),
     "first-command": (
         "swarmtrack.benchmarks.first_command",
@@ -52,7 +52,7 @@ BENCHMARKS = {
     ),
     "fixed-lag": (
         "swarmtrack.benchmarks.trackers.fixed_lag",
-        "benefit of a delay of some scans for a tracker's estimates",
+        "how much a lag of a few scans improves a tracker's estimates",
     ),
     "flood": ("swarmtrack.benchmarks.flood", "effects of a flooding member on its teammates"),
     "formation": (
@@ -69,7 +69,7 @@ BENCHMARKS = {
     ),
     "misconfigured": (
         "swarmtrack.benchmarks.misconfigured",
-        "names when pads, compasses, mountings or starts are wrong",
+        "names when pads, compasses, mountings or starts differ from the config",
     ),
     "motion": ("swarmtrack.benchmarks.motion", "identification by motion alone"),
     "offset": (
@@ -104,11 +104,11 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.seams",
         "handover of tracks between the cameras of a drone",
     ),
-    "silent": ("swarmtrack.benchmarks.silent", "identification without messages: by a file, by codes"),
+    "silent": ("swarmtrack.benchmarks.silent", "identification without messages: from a file, from codes"),
     "soak": ("swarmtrack.benchmarks.trackers.soak", "every tracker under a million random scans"),
     "swarm": (
         "swarmtrack.benchmarks.swarm_runs",
-        "whole local swarms: names, and the cost of computing them",
+        "whole local swarms: names, and the cost of an agent",
     ),
     "trackers": (
         "swarmtrack.benchmarks.trackers.benchmark",

@@ -29,13 +29,13 @@ GROUPS = {
     },
     "fly": {
         "doctor": ("swarmtrack.agents.doctor", "find out why a drone does not work, and what to do"),
-        "healthy": ("swarmtrack.agents.healthy", "check that an agent is healthy, by exit code"),
+        "healthy": ("swarmtrack.agents.healthy", "check an agent's health: exit code 0 or 1"),
         "router": ("swarmtrack.agents.router", "relay between drones that cannot reach each other"),
     },
     "look": {
         "monitor": ("swarmtrack.agents.monitor", "serve the web page of a running swarm"),
         "echo": ("swarmtrack.agents.echo", "show the messages of a running swarm as JSON lines"),
-        "ros2": ("swarmtrack.agents.ros2", "show a running swarm to ROS 2, as topics under rmw_zenoh"),
+        "ros2": ("swarmtrack.agents.ros2", "publish a running swarm as ROS 2 topics (rmw_zenoh)"),
         "record": ("swarmtrack.agents.record", "record the messages of a running swarm"),
     },
     "afterwards": {
@@ -44,7 +44,7 @@ GROUPS = {
             "run recorded flights through perception again, at full speed",
         ),
         "plot": ("swarmtrack.agents.plot", "draw a recorded flight: map, distances, names, errors"),
-        "review": ("swarmtrack.agents.review", "review a recorded flight: what was wrong, on one page"),
+        "review": ("swarmtrack.agents.review", "review a recorded flight: what went wrong, on one page"),
         "log": ("swarmtrack.agents.log", "show, repair, merge and convert recordings"),
         "import": ("swarmtrack.agents.import_flight", "make a recording from a telemetry log and a video"),
     },
@@ -67,8 +67,8 @@ COMMANDS = {name: command for group in GROUPS.values() for name, command in grou
 
 EXAMPLES = """where to begin:
   swarmtrack sim                           # three drones, without any hardware
-  swarmtrack video clip.mp4                # drones in a video of yours
-  swarmtrack config new                    # a config for your own drone; it prompts
+  swarmtrack video clip.mp4                # drones in your own video
+  swarmtrack config new                    # a config for your own drone, by questions
   swarmtrack doctor --config drone-1.toml  # why it does not work, and what to do
 """
 
@@ -91,8 +91,7 @@ def parse(words: list[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         prog="swarmtrack",
         usage="swarmtrack [-h] [--version] COMMAND ...",
-        description="Relative perception for drone swarms. One drone's agent: swarmtrack-agent.\n\n"
-        + _listed(),
+        description="Relative perception for drone swarms. Each drone runs swarmtrack-agent.\n\n" + _listed(),
         epilog=EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,

@@ -96,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=["auto", "full", "reduced", "low"],
         default="auto",
         help="level of detail: full, the scenario's rates of frames, gyro samples and tracks; reduced, lower rates; "
-        "low, the lowest; auto, the highest that this machine has time for (default: %(default)s)",
+        "low, the lowest; auto, the highest that this machine can keep up with (default: %(default)s)",
     )
     _add_outputs(parser)
 
@@ -104,8 +104,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _add_outputs(parser: argparse.ArgumentParser) -> None:
     """What is written, served and kept."""
     add_file(parser, "--json", "write the verdict and all figures to this file")
-    add_folder(parser, "--record", "folder for recordings of all agents, the truth and the verdict")
-    add_flag(parser, "--monitor", "serve the monitor's page of the flight")
+    add_folder(parser, "--record", "folder for recordings of all agents, with the truth and the verdict")
+    add_flag(parser, "--monitor", "serve the monitor's web page during the flight")
     parser.add_argument(
         "--monitor-port",
         type=port,
@@ -115,7 +115,7 @@ def _add_outputs(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--stay",
         action=argparse.BooleanOptionalAction,
-        help="keep the page after the flight, with the verdict, until Ctrl-C (default: in a terminal); "
+        help="keep the page, with the verdict, after the flight until Ctrl-C (default: only in a terminal); "
         "--stay implies --monitor",
     )
     add_flag(parser, "--keep", "keep the folder with the configs and logs")

@@ -107,7 +107,7 @@ def seeds(usual: int, quick: int) -> Option:
 
 def scenarios(usual: Sequence[str]) -> Option:
     """Which are flown, one after the other: any."""
-    words = f"shipped ones, or files (default: {' '.join(usual)})"
+    words = f"names from sim --list, or files (default: {' '.join(usual)})"
     return option("--scenarios", words, nargs="+", default=list(usual), metavar="NAME")
 
 
@@ -119,23 +119,23 @@ def several(name: str, help: str, usual: Sequence[float], **keywords: Any) -> Op
 def some_of(name: str, choices: Iterable[str]) -> Option:
     """Some of these, or all."""
     known = list(choices)
-    words = f"which of {', '.join(known)} (default: all)"
+    words = f"one or more of {', '.join(known)} (default: all)"
     return option(name, words, nargs="+", choices=known, default=known, metavar="NAME")
 
 
 TRACKER = option("--tracker", default=DEFAULT_TRACKER, choices=list(TRACKERS))
-PROCESSES = option("--processes", "how many fly at once (default: one per core)", type=count, metavar="N")
+PROCESSES = option("--processes", "flights at once (default: one per core)", type=count, metavar="N")
 SECOND_STAGE = option(
     "--second-stage",
-    'what looks at candidates again: "auto", "none", "default", or an .onnx file (default: %(default)s)',
+    'second stage of the detector: "auto", "none", "default", or an .onnx file (default: %(default)s)',
     default="auto",
     metavar="STAGE",
 )
 CLIPS = path("data", "a folder with pairs of NAME.mp4 and NAME_gt.csv", "DATA")
 
 COMMON = (
-    path("--out", "for the results (default: %(default)s)", default=DEFAULT_OUT),
-    flag("--quick", "a fraction of the work, for orientation"),
+    path("--out", "folder for the results (default: %(default)s)", default=DEFAULT_OUT),
+    flag("--quick", "a fraction of the work, for a first look"),
 )
 
 
