@@ -131,7 +131,7 @@ class _Row:
         self.word = sight.word
         self.said = sight.said
         self.t = self.taken_t = sight.t
-        self._range_sigma = sight.range_sigma_log
+        self._least_range_sigma = sight.range_sigma_log
         self.is_reported = False
         # Of the constant nothing is known but this: somebody may have begun to count far above, or below.
         self.x = np.array([0.0, 0.0, sight.off, 0.0, 0.0])
@@ -176,9 +176,9 @@ class _Row:
 
     def _predict(self, dt: float, range_sigma: float) -> None:
         tilt, distance = math.exp(-dt / TILT_ERROR_LASTS_S), math.exp(-dt / RANGE_ERROR_LASTS_S)
-        # Of two estimates of which one has learned more, the errors correlate like this.
-        distance *= min(range_sigma / self._range_sigma, self._range_sigma / range_sigma)
-        self._range_sigma = range_sigma
+        # Of two estimates of which the second has learned more, the errors correlate like this.
+        distance *= min(range_sigma / self._least_range_sigma, 1.0)
+        self._least_range_sigma = min(range_sigma, self._least_range_sigma)
         F = np.diag([1.0, 1.0, 1.0, tilt, distance])
         F[DRIFT, CLIMB] = dt
         q = HEIGHT_RATE_WALK_M_S_SQRT_S**2
