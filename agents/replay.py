@@ -320,7 +320,7 @@ def _sameness(replayed: Replayed) -> str:
             f"bit for bit as recorded: {scans.recorded} scans, {answers.recorded} published lists of tracks{also} "
             "compared"
         )
-    streams = (scans, answers, replayed.states_compared, setpoints)
+    streams = (scans, answers, replayed.states_compared, replayed.strangers_compared, setpoints)
     parted = min((s.parted_s for s in streams if s.parted_s is not None), default=math.nan)
     return (
         f"not as recorded from {parted:.3f} s on: {scans.same} of {scans.recorded} scans, "

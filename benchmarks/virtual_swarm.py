@@ -30,11 +30,13 @@ from swarmtrack.messages import (
     DoubtNews,
     EgoPose,
     HeadingNews,
+    LocatedStranger,
     MotionReport,
     PeerArrived,
     PoseWanted,
     ScanReport,
     SightingReport,
+    StrangerReport,
     TrackList,
 )
 from swarmtrack.motion.ego import EgoHistory
@@ -49,6 +51,7 @@ from swarmtrack.tracking.base import Tracker
 
 RADIO_S = 0.05  # s from a question to the announcement it asked for
 REPORT_S, SOONEST_REPORT_S = 1.0, 0.1  # s between two reports of sightings, of the same and of others
+STRANGERS_S = 0.4  # s between two reports of strangers, while one is in view
 CLOCK_SIGMA = 0.01  # s: what a drone knows of its teammates' clocks
 LATENCY_S = 0.08  # s from exposure to detections
 LEAD_S = 1.0  # s that the sensors run before world time 0
@@ -67,7 +70,7 @@ class Exposure(NamedTuple):
     camera: int = 0
 
 
-Said = Announcement | MotionReport | SightingReport
+Said = Announcement | MotionReport | SightingReport | StrangerReport
 """What drones tell each other."""
 
 Eyes = Callable[[Exposure], Detections]
@@ -89,7 +92,7 @@ class ObservedScan(NamedTuple):
     """What `observer` tracked in the scan exposed at t [s, world time, by its own belief].
 
     centres (m, 2) px: what its detector had found there; exposed_t [s, world time]: when it was exposed in truth;
-    camera: in which of its cameras.
+    camera: in which of its cameras; strangers: where it finds them by then.
     """
 
     observer: int
@@ -98,6 +101,7 @@ class ObservedScan(NamedTuple):
     centres: Array
     exposed_t: float
     camera: int = 0
+    strangers: tuple[LocatedStranger, ...] = ()
 
 
 @dataclasses.dataclass(frozen=True, slots=True)
@@ -128,6 +132,9 @@ class _Drone:
     compared: int = 0
     """How many scans it had tracked when it last looked whether there is something new to report."""
     shared: int = 0
+    strangers_t: float = -np.inf
+    """When it last reported strangers, and of which scan."""
+    strangers_of: float = -np.inf
     wanted: list[int] = dataclasses.field(default_factory=list)
     """Whose pose it wants and has not asked for yet."""
     found: dict[int, tuple[Array, float, int]] = dataclasses.field(default_factory=dict)
@@ -262,7 +269,9 @@ class VirtualSwarm:
             for event in drone.onboard.events():
                 if isinstance(event, ScanReport):
                     centres, exposed_t, camera = drone.found.pop(event.sequence)
-                    yield ObservedScan(drone_id, event.tracks.t, event.tracks, centres, exposed_t, camera)
+                    yield ObservedScan(
+                        drone_id, event.tracks.t, event.tracks, centres, exposed_t, camera, event.strangers
+                    )
                 elif isinstance(event, PoseWanted):
                     drone.wanted.append(event.drone_id)
                 elif isinstance(event, HeadingNews | DoubtNews) and drone.announced:
@@ -339,6 +348,7 @@ class VirtualSwarm:
                 self._announce(drone_id, drone, now)
             self._report(drone_id, drone, now)
             self._share(drone_id, drone, now)
+            self._report_strangers(drone_id, drone, now)
             events = drone.onboard.events()
             drone.wanted += [event.drone_id for event in events if isinstance(event, PoseWanted)]
             for wanted in drone.wanted:
@@ -397,6 +407,15 @@ class VirtualSwarm:
         if report is None:
             return
         self._deliver_to_all(drone_id, now, dataclasses.replace(self._said(report), t_sigma=CLOCK_SIGMA))
+
+    def _report_strangers(self, drone_id: int, drone: _Drone, now: float) -> None:
+        if now - drone.strangers_t < STRANGERS_S:
+            return
+        report = drone.onboard.stranger_report(f"{drone_id:08x}", drone.reports)
+        if report is None or report.t <= drone.strangers_of:
+            return
+        drone.strangers_t, drone.strangers_of = now, report.t
+        self._deliver_to_all(drone_id, now, dataclasses.replace(report, t_sigma=CLOCK_SIGMA))
 
     def _said(self, report: MotionReport) -> MotionReport:
         """What a drone says of its motion; overridden where it lies."""

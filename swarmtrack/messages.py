@@ -326,11 +326,13 @@ class TrackList:
 
 
 class ScanReport(NamedTuple):
-    """What came of one scan: its frame's sequence number, the tracks at its exposure, and which camera it was."""
+    """What came of one scan: its frame's sequence number, the tracks at its exposure, which camera it was, and where
+    the team finds strangers then."""
 
     sequence: int
     tracks: TrackList
     camera: int = 0
+    strangers: tuple[LocatedStranger, ...] = ()
 
 
 class HeadingNews(NamedTuple):
@@ -548,6 +550,71 @@ class RangeReport:
             )
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class StrangerRay:
+    """On which ray an observer sees a drone that is not of the team.
+
+    number: the stranger's, as the observer has it; direction (3,): unit vector from the observer's camera, team frame;
+    sigma [rad]: per axis, of what changes from scan to scan. width [rad]: of what its box is around; 0 where the box
+    does not tell.
+    """
+
+    number: int
+    direction: Array
+    sigma: float
+    width: float
+
+    def __post_init__(self) -> None:
+        _hold(self, "direction", (3,))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LocatedStranger:
+    """A drone that is not of the team, by the rays of all that see it.
+
+    position (3,) m and velocity (3,) m/s in the team frame at t, cov (6, 6) of both; observers: those that have seen it
+    within a second. remote_id: what it claims to be, where a claim fits it; else empty.
+    """
+
+    number: int
+    t: float
+    position: Array
+    velocity: Array
+    cov: Array
+    observers: tuple[int, ...]
+    remote_id: str = ""
+
+    def __post_init__(self) -> None:
+        _hold(self, "position", (3,))
+        _hold(self, "velocity", (3,))
+        _hold(self, "cov", (6, 6))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StrangerReport:
+    """Strangers in view of one drone, and its own position at that time.
+
+    t: exposure, on *our* monotonic clock (converted by the transport), t_sigma its uncertainty; position (3,) m of the
+    observer's camera in the team frame. position_sigma [m], tilt_sigma and heading_sigma [rad]: per axis, of what
+    lasts. located: where the observer finds them, for readers; it is no evidence for its team.
+    """
+
+    observer: int
+    boot: str
+    sequence: int
+    t: float
+    t_sigma: float
+    position: Array
+    position_sigma: float
+    tilt_sigma: float
+    heading_sigma: float
+    rays: tuple[StrangerRay, ...]
+    located: tuple[LocatedStranger, ...] = ()
+
+    def __post_init__(self) -> None:
+        _hold(self, "position", (3,))
+
+
 PeerEvent = (
     Announcement
     | PeerArrived
@@ -558,6 +625,7 @@ PeerEvent = (
     | SightingReport
     | MotionReport
     | RangeReport
+    | StrangerReport
 )
 
 Membership = PeerArrived | PeerDeparted | IdClash | PeerExpelled
@@ -572,6 +640,7 @@ Input = (
     | SightingReport
     | MotionReport
     | RangeReport
+    | StrangerReport
     | AgreedMotion
 )
 """All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""

@@ -53,6 +53,7 @@ from swarmtrack.messages import (
     Scan,
     ScanReport,
     SightingReport,
+    StrangerReport,
     Track,
     TrackList,
 )
@@ -69,6 +70,8 @@ from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.metres import MeasuringCamera, Metres
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews
+from swarmtrack.strangers.located import Strangers
+from swarmtrack.strangers.sights import ScannedTracks
 from swarmtrack.team.identities import Identities
 from swarmtrack.tracking.base import Tracker
 from swarmtrack.tracking.scan import make_scan
@@ -164,13 +167,15 @@ class Onboard:
         )
         self._consensus = Consensus()
         self._view: OwnView | None = None
+        measuring = [MeasuringCamera(each.lens, each.body_from_camera, each.tracker) for each in cameras]
         self._metres = Metres(
             drone_id,
             relative or RelativeParameters(),
-            cameras=[MeasuringCamera(each.lens, each.body_from_camera, each.tracker) for each in cameras],
+            cameras=measuring,
             ego=ego,
             places_anybody=places_anybody,
         )
+        self._strangers = Strangers(drone_id, relative or RelativeParameters(), cameras=measuring)
         self._events: list[Output] = []
 
     def tell(self, event: Input) -> None:
@@ -199,12 +204,17 @@ class Onboard:
             case SightingReport():
                 self._identities.on_report(event)
                 self._compare(event)
+                if self._identities.teammates.is_heard(event.observer):
+                    self._strangers.hear_sightings(event)
             case MotionReport():
                 self._identities.on_motion(event)
                 self._metres.hear_motion(event)
             case RangeReport():
                 range_news = self._metres.hear_range(event)
                 self._events += [] if range_news is None else [range_news]
+            case StrangerReport():
+                if self._identities.teammates.is_heard(event.observer):
+                    self._strangers.hear(event, self.gyro.newest)
             case AgreedMotion():
                 if event.drone_id == self._drone_id:
                     self._flight.agree(event)
@@ -220,6 +230,7 @@ class Onboard:
                 self._identities.on_membership(event)
                 if isinstance(event, IdClash | PeerExpelled):
                     self._metres.forget(event.drone_id)
+                    self._strangers.forget(event.drone_id)
             case AutopilotRebooted():
                 self._ego.restart()
                 self._bias.restart()
@@ -241,6 +252,10 @@ class Onboard:
     def motion_report(self, boot: str, sequence: int) -> MotionReport | None:
         """How this drone itself moves; None where it does not know."""
         return self._ego.moved(self._drone_id, boot, sequence)
+
+    def stranger_report(self, boot: str, sequence: int) -> StrangerReport | None:
+        """On which rays this drone saw strangers in its last scan; None where it saw none."""
+        return self._strangers.report(boot, sequence)
 
     def tracks(self, now: float) -> TrackList:
         """Everything tracked, carried on to now; nothing once the scans have stayed away for too long."""
@@ -271,8 +286,11 @@ class Onboard:
         return None if ego is None else ego.pose @ self.cameras[camera].body_from_camera
 
     def anybody(self, now: float) -> dict[int, RelativeState]:
-        """`Metres.anybody`."""
-        return self._metres.anybody(now)
+        """`Metres.anybody`, and strangers that the team has located (`Strangers.obstacles`)."""
+        states, here = self._metres.anybody(now), self.camera_pose(now) if self._strangers else None
+        if here is not None:
+            states |= self._strangers.obstacles(now, here.position, self._ego.velocity(now)[0])
+        return states
 
     def own_flight(self, now: float) -> OwnFlight | None:
         """How this drone flies now, and how old its measurements of that are; None where it knows no place."""
@@ -315,7 +333,8 @@ class Onboard:
     def part_counters(self) -> dict[str, int]:
         """What its parts refused or had to mend."""
         parts = (
-            self._rig, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus, self._metres
+            self._rig, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus, self._metres,
+            self._strangers,
         )  # fmt: skip
         return {name: count for part in parts for name, count in part.counters.items()}
 
@@ -366,7 +385,11 @@ class Onboard:
         labelled = self._labelled(tracks)
         if own is not None:
             labelled = self._metres.observe(labelled, scan, own, number)
-        self._events.append(ScanReport(detections.sequence, TrackList(t, t, labelled), number))
+            if self._stuck.is_live(number, t):
+                scanned = ScannedTracks(labelled, scan, number, self._identities.p_none())
+                self._strangers.observe(scanned, self._stated(own), self._view)
+        found = TrackList(t, t, labelled)
+        self._events.append(ScanReport(detections.sequence, found, number, self._strangers.located(t)))
         self._events += map(PoseWanted, wanted)
 
     def _accepted(self, detections: Detections, t: float) -> Orientation | None:

@@ -14,7 +14,14 @@ from swarmtrack.cameras.rig import ExpectedTracks
 from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Announcement, Array, MotionReport, RelativeState, SightingReport
+from swarmtrack.messages import (
+    Announcement,
+    Array,
+    MotionReport,
+    RelativeState,
+    SightingReport,
+    StrangerReport,
+)
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.motion.gyro import Orientation
 from swarmtrack.motion.gyro_bias import KnownGyroBias
@@ -125,6 +132,7 @@ class ReportsView(Protocol):
 
     def sighting_report(self, boot: str, sequence: int) -> SightingReport | None: ...
     def motion_report(self, boot: str, sequence: int) -> MotionReport | None: ...
+    def stranger_report(self, boot: str, sequence: int) -> StrangerReport | None: ...
 
 
 class PilotView(ReportsView, Protocol):

@@ -27,12 +27,14 @@ from swarmtrack.messages import (
     PeerArrived,
     PeerDeparted,
     SightingReport,
+    StrangerReport,
 )
 from swarmtrack.transport.limits import ANNOUNCED_CLOCKS_AGREE_S, REPORTED_CLOCKS_AGREE_S
 from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.wire.announcement import AnnouncementMessage, announcement_from, announcement_message
 from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message
+from swarmtrack.wire.strangers import StrangersMessage, strangers_from, strangers_message
 
 # s of silence after which a teammate is gone.
 LEASE_S = 2.0
@@ -248,7 +250,8 @@ class FailingSwarm(VirtualSwarm):
         clock = self._clocks[sender, receiver]
 
         def stamped(
-            message: AnnouncementMessage | MotionMessage | SightingsMessage, tolerance: float
+            message: AnnouncementMessage | MotionMessage | SightingsMessage | StrangersMessage,
+            tolerance: float,
         ) -> tuple[float, float]:
             return clock.time_of(message, arrived=now, utc_offset=off[receiver], tolerance=tolerance)
 
@@ -262,5 +265,8 @@ class FailingSwarm(VirtualSwarm):
             case SightingReport():
                 sightings = sightings_message(said, off[sender], made)
                 return report_from(sightings, *stamped(sightings, REPORTED_CLOCKS_AGREE_S))
+            case StrangerReport():
+                strangers = strangers_message(said, off[sender], made)
+                return strangers_from(strangers, *stamped(strangers, REPORTED_CLOCKS_AGREE_S))
             case _:
                 assert_never(said)

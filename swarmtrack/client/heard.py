@@ -8,7 +8,15 @@ from typing import TypeVar
 
 from swarmtrack.client.axes import Axes
 from swarmtrack.client.freshness import Mark, MessageOrder
-from swarmtrack.client.sight import DroneCamera, DroneHealth, Sight, camera_of, sight_of
+from swarmtrack.client.sight import (
+    DroneCamera,
+    DroneHealth,
+    Sight,
+    Stranger,
+    camera_of,
+    sight_of,
+    strangers_of,
+)
 from swarmtrack.clock import Clock, SystemClock
 from swarmtrack.messages import PeerArrived, PeerDeparted
 from swarmtrack.transport import keys
@@ -20,11 +28,23 @@ from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.strangers import StrangersMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
-M = TypeVar("M", CameraMessage, HealthMessage, MotionMessage, SightingsMessage, TracksMessage, VideoMessage)
-Timed = TypeVar("Timed", HealthMessage, MotionMessage, SightingsMessage, TracksMessage, VideoMessage)
+M = TypeVar(
+    "M",
+    CameraMessage,
+    HealthMessage,
+    MotionMessage,
+    SightingsMessage,
+    StrangersMessage,
+    TracksMessage,
+    VideoMessage,
+)
+Timed = TypeVar(
+    "Timed", HealthMessage, MotionMessage, SightingsMessage, StrangersMessage, TracksMessage, VideoMessage
+)
 
 # An ID that no drone has: we are of no team.
 NO_DRONE_ID = 0
@@ -111,6 +131,10 @@ class HeardTeam:
         drone_id, message, marks = received
         sight = sight_of(drone_id, message, self.camera(drone_id), sample.arrived, self._axes)
         return replace(sight, marks=marks) if marks else sight
+
+    def on_strangers(self, sample: Sample) -> tuple[Stranger, ...]:
+        received = self.receive(StrangersMessage, Kind.STRANGER, sample)
+        return () if received is None else strangers_of(*received, self._axes)
 
     def on_health(self, sample: Sample) -> DroneHealth | None:
         received = self.receive(HealthMessage, Kind.HEALTH, sample)

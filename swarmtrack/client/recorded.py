@@ -76,12 +76,12 @@ class RecordedSwarm(TeamReader):
                 self._on_sample(sample)
                 await self._until_read()
         finally:
-            self._sights.close()
-            self._healths.close()
+            for outlets in self._outlets:
+                outlets.close()
 
     async def _until_read(self) -> None:
         """Until there are readers, and all of them wait."""
-        every = (self._sights, self._healths)
+        every = self._outlets
         while not (any(each.has_readers for each in every) and all(each.is_read for each in every)):
             self._changed.clear()
             await self._changed.wait()

@@ -16,6 +16,7 @@ from swarmtrack.wire.camera import CameraMessage, mounting_from
 from swarmtrack.wire.checks import symmetric
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.lens import camera_from
+from swarmtrack.wire.strangers import StrangersMessage, located_in
 from swarmtrack.wire.tracks import RelativeMessage, TrackMessage, TracksMessage, track_cov
 
 
@@ -152,6 +153,47 @@ class DroneHealth:
     def reasons(self) -> tuple[str, ...]:
         """Why it is not ready, for people."""
         return () if self.message.readiness is None else self.message.readiness.reasons
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stranger:
+    """A drone that is not of the team, as `drone_id` has located it by the rays of all that see it.
+
+    position (3,) m and velocity (3,) m/s in the world frame of `axes`, cov (6, 6) of both, at t_utc_s. observers: the
+    drones that saw it within a second; with one of them the distance is a guess. remote_id: what it claims to be by
+    Remote ID, where the claim fits it; else empty. marks: as in `Sight`.
+    """
+
+    drone_id: int
+    t_utc_s: float
+    number: int
+    position: Array
+    velocity: Array
+    cov: Array
+    observers: tuple[int, ...]
+    remote_id: str
+    marks: frozenset[Mark] = frozenset()
+
+
+def strangers_of(
+    drone_id: int, message: StrangersMessage, marks: frozenset[Mark], axes: Axes
+) -> tuple[Stranger, ...]:
+    """The strangers in a message in the client's form."""
+    turn = np.kron(np.eye(2), axes.world_from_ned)
+    return tuple(
+        Stranger(
+            drone_id,
+            message.t_utc_s,
+            one.number,
+            axes.world_from_ned @ one.position,
+            axes.world_from_ned @ one.velocity,
+            turn @ one.cov @ turn.T,
+            one.observers,
+            one.remote_id,
+            marks,
+        )
+        for one in located_in(message, message.t_utc_s)
+    )
 
 
 def camera_of(message: CameraMessage) -> DroneCamera:

@@ -13,7 +13,7 @@ from typing import Final, Generic, Self, TypeVar
 
 from swarmtrack.client.axes import Axes
 from swarmtrack.client.heard import HeardTeam
-from swarmtrack.client.sight import DroneCamera, DroneHealth, Sight
+from swarmtrack.client.sight import DroneCamera, DroneHealth, Sight, Stranger
 from swarmtrack.clock import SystemClock
 from swarmtrack.errors import TransportError
 from swarmtrack.transport import keys
@@ -31,7 +31,7 @@ CLIENT_MESSAGES_KEPT: Final = (
     64  # messages that wait for a reader who is busy: more than a second of one drone's tracks
 )
 CLIENT_PATIENCE_S: Final = 10.0
-QUIET_KINDS: Final = (Kind.CAMERA, Kind.TRACKS, Kind.HEALTH)
+QUIET_KINDS: Final = (Kind.CAMERA, Kind.TRACKS, Kind.HEALTH, Kind.STRANGER)
 
 
 class TeamReader:
@@ -43,6 +43,7 @@ class TeamReader:
         """Set when a reader comes, has read everything, or leaves."""
         self._sights = Outlets[Sight](self._changed)
         self._healths = Outlets[DroneHealth](self._changed)
+        self._strangers = Outlets[Stranger](self._changed)
 
     @property
     def drones(self) -> tuple[int, ...]:
@@ -52,7 +53,7 @@ class TeamReader:
     @property
     def counters(self) -> Counter[str]:
         """Rejected messages, by reason; `dropped`: those that came faster than they were read."""
-        return self._heard.counters + Counter(dropped=self._sights.dropped + self._healths.dropped)
+        return self._heard.counters + Counter(dropped=sum(one.dropped for one in self._outlets))
 
     def camera(self, drone_id: int) -> DroneCamera | None:
         """A drone's lens and mounting; None while it is unknown, or while two processes use this ID."""
@@ -82,6 +83,21 @@ class TeamReader:
     ) -> AsyncIterator[DroneHealth]:
         """Health of a drone's agent, once per second; arguments as in `tracks`."""
         return self._read(self._healths, drone_id, keep, patience_s)
+
+    def strangers(
+        self,
+        drone_id: int | None = None,
+        *,
+        keep: int = CLIENT_MESSAGES_KEPT,
+        patience_s: float | None = None,
+    ) -> AsyncIterator[Stranger]:
+        """Strangers as the drones that see them locate them, 2.5 times per second and drone, while one is in view;
+        arguments as in `tracks`, but it waits, because usually there is none."""
+        return self._read(self._strangers, drone_id, keep, patience_s)
+
+    @property
+    def _outlets(self) -> tuple[Outlets[Sight], Outlets[DroneHealth], Outlets[Stranger]]:
+        return self._sights, self._healths, self._strangers
 
     async def _read(
         self, outlets: Outlets[T], drone_id: int | None, keep: int, patience_s: float | None
@@ -114,6 +130,9 @@ class TeamReader:
                 self._sights.put(address.drone_id, self._heard.on_tracks(sample))
             case Kind.HEALTH if self._healths.wanted(address.drone_id):
                 self._healths.put(address.drone_id, self._heard.on_health(sample))
+            case Kind.STRANGER if self._strangers.wanted(address.drone_id):
+                for stranger in self._heard.on_strangers(sample):
+                    self._strangers.put(address.drone_id, stranger)
 
     async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
         """Why nothing is heard."""
@@ -187,8 +206,8 @@ class Swarm(TeamReader):
             async for sample in self._listener.samples():
                 self._on_sample(sample)
         finally:
-            self._sights.close()
-            self._healths.close()
+            for outlets in self._outlets:
+                outlets.close()
 
     async def _silence(self, drone_id: int | None, patience_s: float | None) -> str:
         """Why nothing is heard, as far as one can tell."""

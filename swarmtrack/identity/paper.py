@@ -76,6 +76,10 @@ class PaperIdentities:
     def frame(self, drone_id: int) -> None:
         """Nor how frames stand to each other."""
 
+    def p_none(self) -> dict[int, float]:
+        """Every track is a teammate."""
+        return {}
+
     def on_report(self, report: SightingReport) -> None:
         """Nor are places later than the announced ones."""
 

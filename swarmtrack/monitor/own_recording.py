@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import msgspec
+import numpy as np
 
 from swarmtrack.clock import UTC_SIGMA
 from swarmtrack.errors import RecordingError
@@ -21,9 +22,11 @@ from swarmtrack.messages import (
     FlightState,
     IdClash,
     Input,
+    LocatedStranger,
     PeerArrived,
     PeerDeparted,
     SightingReport,
+    StrangerReport,
 )
 from swarmtrack.monitor.timeline import Blob, BlobFile, TimelineEvent, Tracked
 from swarmtrack.motion.ego import TeamPose
@@ -46,6 +49,7 @@ from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.lens import lens_message
 from swarmtrack.wire.records import from_record
 from swarmtrack.wire.sightings import sightings_message
+from swarmtrack.wire.strangers import MAX_STRANGERS, strangers_message
 from swarmtrack.wire.tracks import TracksMessage, tracks_message
 from swarmtrack.wire.video import VideoMessage
 
@@ -103,6 +107,9 @@ class DroneRecording:
         self._frame: tuple[int, float] | None = None
         """Of which camera the next picture is, and when it was exposed."""
         self._seen: _Seen | None = None
+        self._strangers: list[tuple[float, float, tuple[LocatedStranger, ...]]] = []
+        """When they were told, and at which exposure it found them there."""
+        self._strangers_t = math.nan
 
     def read(self) -> None:
         for message in self._recording.messages():
@@ -176,6 +183,9 @@ class DroneRecording:
         observer = self._ego.steady(exposed)
         if observer is not None:
             self._seen = _Seen(data, observer)
+        if scan.strangers_digest and not t - self._strangers_t < periods.STRANGERS:
+            self._strangers_t = t
+            self._strangers.append((t, exposed, outputs.decode_report(data).report.strangers))
 
     def _on_said(self, data: bytes, t: float) -> None:
         """What it told its team of the last scan in which it knew where it stood."""
@@ -255,7 +265,28 @@ class DroneRecording:
                 yield from self._of_event(event, t + shift, self._offset + shift, lives)
             except ValueError:
                 self.refused += 1
+        if says_itself:
+            yield from self._located_strangers(shift)
         yield from self._silent_teammates(shift, lives)
+
+    def _located_strangers(self, shift: float) -> Iterator[TimelineEvent]:
+        """Where it found strangers; the rays are in the recordings of those that received them."""
+        for n, (t, exposed, located) in enumerate(self._strangers):
+            found = StrangerReport(
+                self.drone_id,
+                self.boot,
+                n,
+                exposed,
+                0.0,
+                np.zeros(3),
+                0.0,
+                0.0,
+                0.0,
+                (),
+                located[:MAX_STRANGERS],
+            )
+            payload = codec.encode(strangers_message(found, self._offset, t - self._offset))
+            yield self._message(Kind.STRANGER, self.drone_id, t + shift, payload)
 
     def departure(self, shift: float) -> TimelineEvent | None:
         """When it ended; None where it holds nothing."""
@@ -314,10 +345,11 @@ class _View(NamedTuple):
 
 
 class ScanHead(msgspec.Struct):
-    """As much of a record as tells its time, and whose picture it was."""
+    """As much of a record as tells its time, whose picture it was, and whether there were strangers."""
 
     t_s: float
     camera: int = 0
+    strangers_digest: str = ""
 
 
 class _Said(msgspec.Struct):

@@ -20,7 +20,7 @@ from swarmtrack.clock import Clock
 from swarmtrack.geometry.rotation import from_quaternion
 from swarmtrack.messages import FOREIGN
 from swarmtrack.monitor.drone_cameras import CameraView, DroneCameras, ViewKey
-from swarmtrack.monitor.metres import MAPPED, metres
+from swarmtrack.monitor.metres import MAPPED, metres, strangers
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.outputs.flight_end import FlightEnd
 from swarmtrack.transport import keys
@@ -35,6 +35,7 @@ from swarmtrack.wire.codec import Message
 from swarmtrack.wire.health import HealthMessage, LatencyHealth, RateHealth
 from swarmtrack.wire.lens import LensMessage, camera_from
 from swarmtrack.wire.sightings import SightingsMessage, report_from
+from swarmtrack.wire.strangers import StrangersMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
@@ -45,6 +46,7 @@ STARTING = "its agents are starting"
 MAX_MONITORED_DRONES = 1024  # beyond it is an attack or a mistake
 DRONE_SILENT_S = 2.0  # s without a word: gone, whatever its token says
 DRONE_FORGOTTEN_S = 600.0  # s after which a drone that went is listed no more
+STRANGERS_SHOWN_S = 1.5  # s after the last report: four were due
 VIEW_S = 2.0  # s that a view says where a camera looks
 HISTORY = 60  # health messages, for the lines: a minute
 TRACKS_KEPT = 64  # messages, to find those of a frame's instant among: a second and more
@@ -104,6 +106,9 @@ class Drone:
     """The newest of each camera, and when it came."""
     view_at: float = -math.inf
     told_events: tuple[str, ...] = ()
+    strangers: StrangersMessage | None = None
+    strangers_at: float = -math.inf
+    """The newest, and when it came."""
 
     def forget_what_it_said(self) -> None:
         """Reset to a drone that is alive and has sent nothing yet."""
@@ -114,6 +119,7 @@ class Drone:
         self.history.clear()
         self.views.clear()
         self.told_events = ()
+        self.strangers = None
 
 
 class MonitoredTeam:
@@ -246,6 +252,11 @@ class MonitoredTeam:
                 [look.observer, look.called, look.whom, look.right, round(look.probability, 3)]
                 for look in self._verdict.looks
             ],
+            "strangers": strangers(
+                drone.strangers
+                for drone in self._drones.values()
+                if drone.strangers is not None and now - drone.strangers_at < STRANGERS_SHOWN_S
+            ),
             "events": list(self._events)[-EVENTS_SHOWN:],
             "unreadable": self.unreadable + self._odd.total(),
         }
@@ -356,6 +367,8 @@ class MonitoredTeam:
         match message:
             case AnnouncementMessage() if message.drone_id == drone_id:
                 drone.announcement = message
+            case StrangersMessage() if message.drone_id == drone_id:
+                drone.strangers, drone.strangers_at = message, arrived
             case SightingsMessage() if message.drone_id == drone_id:
                 self._on_sightings(drone, message, arrived)
             case TracksMessage():

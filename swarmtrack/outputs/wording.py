@@ -30,6 +30,7 @@ from swarmtrack.messages import (
     RangeReport,
     RelativeState,
     SightingReport,
+    StrangerReport,
 )
 from swarmtrack.motion.ground_heights import GroundHeightNews
 from swarmtrack.outputs.teammates_on_earth import worst_sigma
@@ -164,6 +165,8 @@ def _describe_peer(event: PeerEvent) -> str:
             return "a teammate asked for our pose: announced again"
         case SightingReport(observer=observer):
             return f"drone {observer} reported sightings"
+        case StrangerReport(observer=observer):
+            return f"drone {observer} reported strangers"
         case MotionReport(drone_id=drone_id):
             return f"drone {drone_id} reported its motion"
         case RangeReport(other=other):

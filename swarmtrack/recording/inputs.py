@@ -32,6 +32,8 @@ from swarmtrack.messages import (
     RangeReport,
     Sighting,
     SightingReport,
+    StrangerRay,
+    StrangerReport,
 )
 
 
@@ -65,6 +67,18 @@ _DRONE = Entry("drone_id", "drone_id", type="integer")
 _SEQUENCE = Entry("sequence", "sequence", type="integer")
 _T_SIGMA = Entry("t_sigma", "t_sigma_s")
 _POSITION = Entry("position", "position_m", (3,))
+
+_STRANGER_RAY = Form(
+    "",
+    "swarmtrack.StrangerRay",
+    StrangerRay,
+    (
+        Entry("number", "number", type="integer"),
+        Entry("direction", "direction", (3,)),
+        Entry("sigma", "sigma_rad"),
+        Entry("width", "width_rad"),
+    ),
+)
 
 _SIGHTING = Form(
     "",
@@ -182,6 +196,23 @@ FORMS: tuple[Form, ...] = (
             Entry("displacement_cov", "displacement_cov_m2", (3, 3)),
             Entry("velocity", "velocity_m_s", (3,)),
             Entry("velocity_cov", "velocity_cov_m2_s2", (3, 3)),
+        ),
+    ),
+    Form(
+        "/peers/strangers",
+        "swarmtrack.StrangerReport",
+        StrangerReport,
+        (
+            Entry("observer", "observer", type="integer"),
+            _BOOT,
+            _SEQUENCE,
+            _T,
+            _T_SIGMA,
+            _POSITION,
+            Entry("position_sigma", "position_sigma_m"),
+            Entry("tilt_sigma", "tilt_sigma_rad"),
+            Entry("heading_sigma", "heading_sigma_rad"),
+            Entry("rays", "rays", form=_STRANGER_RAY),
         ),
     ),
     Form(

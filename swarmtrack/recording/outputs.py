@@ -11,7 +11,15 @@ import numpy as np
 
 from swarmtrack.errors import RecordingError
 from swarmtrack.follower import Engagement, LocalSetpoint
-from swarmtrack.messages import IdentifiedTrack, RelativeState, ScanReport, Track, TrackList, TrackStatus
+from swarmtrack.messages import (
+    IdentifiedTrack,
+    LocatedStranger,
+    RelativeState,
+    ScanReport,
+    Track,
+    TrackList,
+    TrackStatus,
+)
 from swarmtrack.recording.inputs import numbers, plain
 
 TRACKS_TOPIC = "/tracks"
@@ -59,8 +67,23 @@ def relative_digest(tracks: TrackList) -> str:
     return state.hexdigest()
 
 
+def strangers_digest(strangers: tuple[LocatedStranger, ...]) -> str:
+    """16 hex digits over every bit of where the team finds strangers."""
+    state = hashlib.blake2b(digest_size=8)
+    for one in strangers:
+        observers = " ".join(map(str, one.observers))
+        state.update(f"{one.number} {observers} {one.remote_id}".encode() + struct.pack("<d", one.t))
+        for part in (one.position, one.velocity, one.cov):
+            state.update(part.tobytes())
+    return state.hexdigest()
+
+
 def encode_report(report: ScanReport) -> bytes:
-    tracks = report.tracks
+    tracks, strangers = report.tracks, report.strangers
+    found = {
+        "strangers_digest": strangers_digest(strangers),
+        "strangers": [_stranger_record(one) for one in strangers],
+    }
     return _ENCODER.encode(
         {
             "t_s": tracks.t,
@@ -69,15 +92,19 @@ def encode_report(report: ScanReport) -> bytes:
             "digest": digest(tracks),
             "relative_digest": relative_digest(tracks),
             "tracks": [_track_record(entry) for entry in tracks.tracks],
+            # As ever while there is none.
+            **(found if strangers else {}),
         }
     )
 
 
 class RecordedReport(NamedTuple):
-    """Report of a scan with its digests as computed in flight; relative_digest: None in an older recording."""
+    """Report of a scan with its digests as computed in flight; relative_digest: None in an older recording.
+    strangers_digest: None without strangers."""
 
     digest: str
     relative_digest: str | None
+    strangers_digest: str | None
     report: ScanReport
 
 
@@ -87,8 +114,11 @@ def decode_report(data: bytes) -> RecordedReport:
         record = _DECODER.decode(data)
         t = float(record["t_s"])
         entries = tuple(_identified(part) for part in record["tracks"])
-        report = ScanReport(record["sequence"], TrackList(t, t, entries), int(record.get("camera", 0)))
-        return RecordedReport(record["digest"], record.get("relative_digest"), report)
+        strangers = tuple(_stranger(part, t) for part in record.get("strangers", ()))
+        camera = int(record.get("camera", 0))
+        report = ScanReport(record["sequence"], TrackList(t, t, entries), camera, strangers)
+        digests = record["digest"], record.get("relative_digest"), record.get("strangers_digest")
+        return RecordedReport(*digests, report)
     except (msgspec.MsgspecError, KeyError, TypeError, ValueError) as error:
         raise RecordingError(f"{TRACKS_TOPIC}: a record that is not swarmtrack.Tracks: {error}") from None
 
@@ -192,6 +222,29 @@ def _relative_record(state: RelativeState) -> dict[str, Any]:
         "range_sigma_log": float(state.range_sigma_log),
         "sources": list(state.sources),
     }
+
+
+def _stranger_record(one: LocatedStranger) -> dict[str, Any]:
+    return {
+        "number": one.number,
+        "position_m": numbers(one.position),
+        "velocity_m_s": numbers(one.velocity),
+        "cov": numbers(one.cov),
+        "observers": list(one.observers),
+        "remote_id": one.remote_id,
+    }
+
+
+def _stranger(record: dict[str, Any], t: float) -> LocatedStranger:
+    return LocatedStranger(
+        record["number"],
+        t,
+        np.array(record["position_m"], dtype=np.float64),
+        np.array(record["velocity_m_s"], dtype=np.float64),
+        np.array(record["cov"], dtype=np.float64).reshape(6, 6),
+        tuple(record["observers"]),
+        str(record["remote_id"]),
+    )
 
 
 def _identified(record: dict[str, Any]) -> IdentifiedTrack:

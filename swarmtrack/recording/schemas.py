@@ -66,6 +66,18 @@ TRACKS_SCHEMA = table(
             coasting_since_s=NUMBER,
         )
     ),
+    strangers_digest=TEXT,
+    strangers=array(
+        table(
+            "swarmtrack.Stranger",
+            number=INTEGER,
+            position_m=array(NUMBER),
+            velocity_m_s=array(NUMBER),
+            cov=array(array(NUMBER)),
+            observers=array(INTEGER),
+            remote_id=TEXT,
+        )
+    ),
 )
 ASKED_SCHEMA = table("swarmtrack.Asked", n=INTEGER, t_s=NUMBER, digest=TEXT, tracks=INTEGER)
 SETPOINTS_SCHEMA = table(

@@ -94,6 +94,8 @@ class Replayed:
     answers_compared: Stream = NO_STREAM
     states_compared: Stream = NO_STREAM
     """Of every scan, where teammates are in metres; older recordings hold none."""
+    strangers_compared: Stream = NO_STREAM
+    """Of every scan at which there were any, where strangers are."""
     setpoints_compared: Stream = NO_STREAM
     """What a drone that flew in formation was told to fly."""
     setpoints: list[LocalSetpoint] = field(default_factory=list)
@@ -107,7 +109,13 @@ class Replayed:
     @property
     def exact(self) -> bool:
         """Whether all recorded results were reproduced bit for bit."""
-        streams = (self.scans_compared, self.answers_compared, self.states_compared, self.setpoints_compared)
+        streams = (
+            self.scans_compared,
+            self.answers_compared,
+            self.states_compared,
+            self.strangers_compared,
+            self.setpoints_compared,
+        )
         return self.inputs_lost == 0 and all(stream.same == stream.recorded for stream in streams)
 
 
@@ -149,6 +157,7 @@ class Replayer:
         self._scans = _Compared()
         self._answers = _Compared()
         self._states = _Compared()
+        self._strangers = _Compared()
         self._setpoints = _Compared()
         self._hash = hashlib.blake2b(digest_size=16)
         self._last_n = 0
@@ -179,6 +188,7 @@ class Replayer:
         result.scans_compared = self._scans.result(result.begin)
         result.answers_compared = self._answers.result(result.begin)
         result.states_compared = self._states.result(result.begin)
+        result.strangers_compared = self._strangers.result(result.begin)
         result.setpoints_compared = self._setpoints.result(result.begin)
         result.digest = self._hash.hexdigest()
         return result
@@ -210,6 +220,8 @@ class Replayer:
             self._scans.recorded.append(recorded.digest)
             if recorded.relative_digest is not None:
                 self._states.recorded.append(recorded.relative_digest)
+            if recorded.strangers_digest is not None:
+                self._strangers.recorded.append(recorded.strangers_digest)
             self._result.recorded_scans.append(recorded.report)
         elif topic in self._recorded_frames.topics:
             self._take_frame(topic, message.data)
@@ -240,6 +252,8 @@ class Replayer:
                 digest = outputs.digest(event.tracks)
                 self._note(self._scans, digest, event.tracks.t)
                 self._note(self._states, outputs.relative_digest(event.tracks), event.tracks.t)
+                if event.strangers:
+                    self._note(self._strangers, outputs.strangers_digest(event.strangers), event.tracks.t)
                 self._hash.update(digest.encode())
             else:
                 self._result.news.append((self._elapsed, event))

@@ -130,6 +130,7 @@ class Agent:
                     tasks.create_task(self._team.announce(), name="announce"),
                     tasks.create_task(self._team.report(), name="identities"),
                     tasks.create_task(self._team.share(), name="motion"),
+                    tasks.create_task(self._team.report_strangers(), name="strangers"),
                     tasks.create_task(self._publish_tracks(warm), name="tracks"),
                     tasks.create_task(self._publish_health(), name="health"),
                     tasks.create_task(self._feel_lag(), name="lag"),

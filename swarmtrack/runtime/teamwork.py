@@ -32,6 +32,7 @@ from swarmtrack.messages import (
     PeerExpelled,
     RangeReport,
     SightingReport,
+    StrangerReport,
 )
 from swarmtrack.motion.ground_heights import GroundHeightNews
 from swarmtrack.motion.sway import next_begin, possible_begins
@@ -48,6 +49,7 @@ from swarmtrack.wire import codec
 from swarmtrack.wire.camera import camera_message
 from swarmtrack.wire.motion import motion_message
 from swarmtrack.wire.sightings import report_from_nowhere, sightings_message
+from swarmtrack.wire.strangers import strangers_message
 
 log = logging.getLogger(__name__)
 
@@ -161,7 +163,7 @@ class Teamwork:
                     self._tell(event)
                     self._notices.on_peer(event)
                     continue  # one a second from everybody: no news
-                case MotionReport() | RangeReport():
+                case MotionReport() | RangeReport() | StrangerReport():
                     self._tell(event)
                     continue
                 case AnnouncementRequested():
@@ -212,6 +214,22 @@ class Teamwork:
         self._transport.publish(Kind.IDENTITIES, payload)
         if self._on_report is not None and knows_where:
             self._on_report(report)
+
+    async def report_strangers(self) -> None:
+        """Until cancelled: on which rays this drone sees strangers, while it sees any. Nothing of a silent one."""
+        reported_t = -math.inf
+        for sequence in itertools.count():
+            await asyncio.sleep(periods.STRANGERS)
+            report, now = self._perceived.stranger_report(self._boot, sequence), self._clock.now()
+            if report is None or report.t <= reported_t or self._silent:
+                continue
+            reported_t = report.t
+            try:
+                payload = codec.encode(strangers_message(report, self._clock.utc() - now, now))
+            except ValueError:
+                self._health.drops["unsendable_strangers"] += 1
+                continue
+            self._transport.publish(Kind.STRANGER, payload)
 
     async def share(self) -> None:
         """Until cancelled, where that is asked for: how this drone moves, as soon as its autopilot knows."""

@@ -208,6 +208,11 @@ class Identities:
         """The same tracks, with who they are."""
         return tuple(self._labelled(track) for track in tracks)
 
+    def p_none(self) -> dict[int, float]:
+        """By track, the probability that it is none of the teammates; nothing where one of these may be anywhere."""
+        known = bool(self.teammates.announced) and not self.teammates.unlocated and not self.self_doubt
+        return {id: named.p_none for id, named in self._posterior.named.items()} if known else {}
+
     def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
         """The rays to identified drones that were detected in the scan of t, and to those that another camera shows and
         has just detected; and how surely it is they."""

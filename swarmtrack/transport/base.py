@@ -19,11 +19,12 @@ class Kind(enum.StrEnum):
     IDENTITIES = "identities"
     MOTION = "motion"
     RANGE = "range"
+    STRANGER = "stranger"
     HEALTH = "health"
     VIDEO = "video"
 
 
-PUBLISHED: Final = (Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
+PUBLISHED: Final = (Kind.IDENTITIES, Kind.MOTION, Kind.STRANGER, Kind.TRACKS, Kind.HEALTH, Kind.VIDEO)
 """What `Transport.publish` takes."""
 
 

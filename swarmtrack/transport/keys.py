@@ -17,6 +17,7 @@ from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.ranging import RangeMessage
 from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.strangers import StrangersMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
@@ -34,6 +35,7 @@ ENCODINGS: dict[Kind, str] = {
     Kind.IDENTITIES: "application/msgpack;swarmtrack.Sightings/1",
     Kind.MOTION: "application/msgpack;swarmtrack.Motion/1",
     Kind.RANGE: "application/msgpack;swarmtrack.Range/1",
+    Kind.STRANGER: "application/msgpack;swarmtrack.Strangers/1",
     Kind.TRACKS: "application/msgpack;swarmtrack.Tracks/1",
     Kind.HEALTH: "application/msgpack;swarmtrack.Health/1",
     Kind.VIDEO: "application/msgpack;swarmtrack.Video/1",
@@ -48,6 +50,7 @@ MESSAGES: dict[Kind, type[Message]] = {
     Kind.IDENTITIES: SightingsMessage,
     Kind.MOTION: MotionMessage,
     Kind.RANGE: RangeMessage,
+    Kind.STRANGER: StrangersMessage,
     Kind.TRACKS: TracksMessage,
     Kind.HEALTH: HealthMessage,
     Kind.VIDEO: VideoMessage,
@@ -93,7 +96,7 @@ def camera_of(address: Address) -> int | None:
 
 def all_but_video(team: str) -> list[str]:
     """Key expressions of everything except video, which is sent, at a cost, only while there is a subscriber."""
-    quiet = (Kind.POSE, Kind.CAMERA, Kind.IDENTITIES, Kind.MOTION, Kind.TRACKS, Kind.HEALTH)
+    quiet = (Kind.POSE, Kind.CAMERA, Kind.IDENTITIES, Kind.MOTION, Kind.STRANGER, Kind.TRACKS, Kind.HEALTH)
     in_two_parts = (key(team, kind, "*", "*") for kind in (Kind.ALIVE, Kind.RANGE))
     return [*in_two_parts, *(key(team, kind, "*") for kind in quiet)]
 

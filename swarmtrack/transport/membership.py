@@ -27,11 +27,17 @@ from swarmtrack.transport.sender_clock import SenderClock
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.strangers import StrangersMessage
 
-Numbered = AnnouncementMessage | SightingsMessage | MotionMessage
+Numbered = AnnouncementMessage | SightingsMessage | MotionMessage | StrangersMessage
 
 # As counters name them.
-_NAMES = {AnnouncementMessage: "announcements", SightingsMessage: "sightings", MotionMessage: "motion"}
+_NAMES = {
+    AnnouncementMessage: "announcements",
+    SightingsMessage: "sightings",
+    MotionMessage: "motion",
+    StrangersMessage: "strangers",
+}
 
 
 @dataclass(slots=True)

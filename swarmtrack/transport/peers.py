@@ -38,8 +38,9 @@ from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.motion import MotionMessage, motion_from
 from swarmtrack.wire.ranging import RangeMessage, range_from
 from swarmtrack.wire.sightings import SightingsMessage, is_from_nowhere, report_from
+from swarmtrack.wire.strangers import StrangersMessage, strangers_from
 
-R = TypeVar("R", SightingsMessage, MotionMessage)
+R = TypeVar("R", SightingsMessage, MotionMessage, StrangersMessage)
 Verify = Callable[[int, bytes, bytes], bool]
 """Whether the drone of this ID signed these bytes with this signature."""
 
@@ -71,6 +72,7 @@ SUBSCRIBED = {
     Kind.IDENTITIES: "sightings",
     Kind.MOTION: "motion",
     Kind.RANGE: "ranges",
+    Kind.STRANGER: "strangers",
 }  # for `on_message`, as counters name them
 
 
@@ -154,6 +156,10 @@ class Peers:
                 case Kind.MOTION:
                     self._on_report(
                         address.drone_id, codec.decode(MotionMessage, payload), motion_from, arrived
+                    )
+                case Kind.STRANGER:
+                    self._on_report(
+                        address.drone_id, codec.decode(StrangersMessage, payload), strangers_from, arrived
                     )
                 case Kind.RANGE if address.drone_id == self._drone_id:  # what others measure is theirs
                     self._on_range(address, codec.decode(RangeMessage, payload), arrived)

@@ -17,6 +17,7 @@ from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.ranging import RangeMessage
 from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.strangers import StrangersMessage
 
 
 class StampedTime(NamedTuple):
@@ -34,7 +35,7 @@ class SenderClock:
 
     def time_of(
         self,
-        message: AnnouncementMessage | SightingsMessage | MotionMessage | RangeMessage,
+        message: AnnouncementMessage | SightingsMessage | MotionMessage | RangeMessage | StrangersMessage,
         *,
         arrived: float,
         utc_offset: float,

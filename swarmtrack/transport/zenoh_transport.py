@@ -65,6 +65,7 @@ class Carriage(NamedTuple):
 CARRIAGE: Final = {
     Kind.IDENTITIES: Carriage(zenoh.Reliability.RELIABLE, zenoh.Priority.DATA_HIGH),
     Kind.MOTION: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA_HIGH),
+    Kind.STRANGER: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA_HIGH),
     Kind.TRACKS: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA),
     Kind.HEALTH: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.DATA_LOW),
     Kind.VIDEO: Carriage(zenoh.Reliability.BEST_EFFORT, zenoh.Priority.BACKGROUND),

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from swarmtrack.wire import announcement, camera, motion, ranging, sightings, tracks, video
+from swarmtrack.wire import announcement, camera, motion, ranging, sightings, strangers, tracks, video
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.checks import DecodeError, is_finite
@@ -27,6 +27,7 @@ from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.ranging import RangeMessage
 from swarmtrack.wire.short_form import long_form, short_form
 from swarmtrack.wire.sightings import SightingsMessage
+from swarmtrack.wire.strangers import StrangersMessage
 from swarmtrack.wire.tracks import TracksMessage
 from swarmtrack.wire.video import VideoMessage
 
@@ -36,6 +37,7 @@ Message = (
     | SightingsMessage
     | MotionMessage
     | RangeMessage
+    | StrangersMessage
     | TracksMessage
     | HealthMessage
     | VideoMessage
@@ -49,6 +51,7 @@ _CHECKS: dict[type[Any], Callable[[Any], None] | None] = {
     SightingsMessage: sightings.check,
     MotionMessage: motion.check,
     RangeMessage: ranging.check,
+    StrangersMessage: strangers.check,
     TracksMessage: tracks.check,
     HealthMessage: None,
     VideoMessage: video.check,

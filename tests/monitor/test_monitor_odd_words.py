@@ -42,6 +42,7 @@ GOLDEN = {
         Kind.IDENTITIES: golden_bytes.SIGHTINGS_BYTES,
         Kind.MOTION: golden_bytes.MOTION_BYTES,
         Kind.RANGE: golden_bytes.RANGE_BYTES,
+        Kind.STRANGER: golden_bytes.STRANGERS_BYTES,
         Kind.TRACKS: golden_bytes.SECOND_CAMERA_TRACKS_BYTES,
         Kind.HEALTH: golden_bytes.HEALTH_BYTES,
         Kind.VIDEO: golden_bytes.VIDEO_BYTES,

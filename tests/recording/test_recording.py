@@ -41,6 +41,8 @@ from swarmtrack.messages import (
     RangeReport,
     Sighting,
     SightingReport,
+    StrangerRay,
+    StrangerReport,
 )
 from swarmtrack.recording import inputs
 from swarmtrack.recording.info import summarise
@@ -92,6 +94,10 @@ EVENTS = [
     ),
     MotionReport(2, "0123abcd", 4, 5.7, 0.01, np.array(AWKWARD[:3]), EYE / 3, np.array(AWKWARD[1:4]), EYE),
     RangeReport(1, 2, 5.8, 0.01, 1 / 3, 0.1),
+    StrangerReport(
+        2, "0123abcd", 9, 5.5, 0.01, np.zeros(3), 0.1, 0.01, 1 / 30,
+        (StrangerRay(201, np.array([0.6, 0.8, 0.0]), 0.01, 1 / 30), StrangerRay(202, EYE[2], 0.1, 0.0)),
+    ),
     AgreedMotion(2, np.array([-0.1, 0.3]), np.array([AWKWARD[:3], AWKWARD[1:4]]), planned=True),
     AgreedMotion(2, np.array([-0.1, 0.3]), np.array([AWKWARD[:3], AWKWARD[1:4]]), planned=False, tried=True),
     SightingReport(2, "0123abcd", 10, 5.6, 0.01, np.zeros(3), 0.1, (), ()),

@@ -24,6 +24,7 @@ from support.golden_bytes import (
     RANGE_BYTES,
     SECOND_CAMERA_TRACKS_BYTES,
     SIGHTINGS_BYTES,
+    STRANGERS_BYTES,
     TRACKS_BYTES,
     VIDEO_BYTES,
 )
@@ -34,12 +35,15 @@ from swarmtrack.messages import (
     Announcement,
     IdentifiedTrack,
     LinkStatus,
+    LocatedStranger,
     MotionProof,
     MotionReport,
     RangeReport,
     RelativeState,
     Sighting,
     SightingReport,
+    StrangerRay,
+    StrangerReport,
     Track,
     TrackList,
     TrackStatus,
@@ -72,6 +76,7 @@ from swarmtrack.wire.motion import MotionMessage, motion_from, motion_message
 from swarmtrack.wire.ranging import RangeMessage, range_from, range_message
 from swarmtrack.wire.records import as_record, from_record
 from swarmtrack.wire.sightings import SightingsMessage, report_from, sightings_message
+from swarmtrack.wire.strangers import StrangersMessage, located_in, strangers_from, strangers_message
 from swarmtrack.wire.tracks import (
     ProofMessage,
     RelativeMessage,
@@ -93,6 +98,7 @@ DECODERS: list[Callable[[bytes], Message]] = [
         SightingsMessage,
         MotionMessage,
         RangeMessage,
+        StrangersMessage,
         TracksMessage,
         HealthMessage,
         VideoMessage,
@@ -211,6 +217,54 @@ def ranged() -> bytes:
     return codec.encode(range_message(RANGED, "0123abcd", 9, UTC_OFFSET, NOW))
 
 
+COV = np.diag([0.25, 0.25, 0.5, 1.0, 1.0, 0.5])
+LOCATED = LocatedStranger(
+    701, NOW - 0.25, np.array([8.0, -1.5, -7.0]), np.array([0.25, 0.0, -0.125]), COV, (3, 7), "UAS-1"
+)
+STRANGERS = StrangerReport(
+    7, "0123abcd", 9, NOW - 0.25, 0.5, np.array([1.0, 2.0, -3.0]), 0.25, 0.0078125, 0.03125,
+    (StrangerRay(701, np.array([0.0, 0.0, -1.0]), 0.00390625, 0.0625),), (LOCATED,),
+)  # fmt: skip
+
+
+def strangers() -> bytes:
+    return codec.encode(strangers_message(STRANGERS, UTC_OFFSET, NOW))
+
+
+def test_strangers_come_back_as_rays_for_agents_and_as_places_for_readers() -> None:
+    message = codec.decode(StrangersMessage, strangers())
+    report = strangers_from(message, STRANGERS.t, 0.5)
+    assert report.rays[0].number == 701
+    assert np.array_equal(report.rays[0].direction, STRANGERS.rays[0].direction)
+    assert report.located == ()
+    (place,) = located_in(message, STRANGERS.t)
+    assert (place.number, place.observers, place.remote_id) == (701, (3, 7), "UAS-1")
+    assert np.array_equal(place.cov, COV)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "said"),
+    [
+        (7, [math.nan, 0.0, 0.0], "position_m"),
+        (8, math.inf, "position_sigma_m"),
+        (9, -0.1, "tilt_sigma_rad"),
+        (11, [[0, [0.0, 0.0, -1.0], 0.01, 0.0]], "rays"),
+        (11, [[701, [0.0, 0.0, -1.0], math.nan, 0.0]], "rays"),
+        (11, [[701, [0.0, 0.0, -2e-3], 0.01, 0.0]], "unit vector"),
+        (11, [[701, [0.0, 0.0, -1.0], 0.01, 0.0]] * 2, "twice"),
+        (11, [[700 + k, [0.0, 0.0, -1.0], 0.01, 0.0] for k in range(17)], "rays"),
+        (12, [[701, [0.0] * 3, [0.0] * 3, [-1.0, *[0.0] * 20], [3], ""]], "covariance"),
+        (12, [[701, [0.0] * 3, [2e3, 0.0, 0.0], [0.0] * 21, [3], ""]], "located"),
+        (12, [[701, [0.0] * 3, [0.0] * 3, [0.0] * 21, [3], "x" * 65]], "located"),
+    ],
+)
+def test_a_report_of_strangers_that_cannot_be_is_refused(field: int, value: object, said: str) -> None:
+    fields = msgpack.unpackb(strangers())
+    fields[field] = value
+    with pytest.raises(DecodeError, match=said):
+        codec.decode(StrangersMessage, msgpack.packb(fields))
+
+
 def described() -> bytes:
     return codec.encode(camera_message(7, "0123abcd", [CAMERA], [MOUNTING]))
 
@@ -262,6 +316,7 @@ MESSAGES = [
         pytest.param(reported(), SIGHTINGS_BYTES, id="sightings"),
         pytest.param(moving(), MOTION_BYTES, id="motion"),
         pytest.param(ranged(), RANGE_BYTES, id="range"),
+        pytest.param(strangers(), STRANGERS_BYTES, id="strangers"),
         pytest.param(described(), CAMERA_BYTES, id="camera"),
         pytest.param(described_with_two(), CAMERAS_BYTES, id="two cameras"),
         pytest.param(

@@ -125,7 +125,7 @@ def as_dict(value: Any) -> Any:
 
 def test_the_page_has_a_table_of_every_message_and_bytes_are_pinned_of_each():
     assert set(MESSAGE_TABLES) == set(NAMED) == set(EVERY_MESSAGE)
-    assert set(RECORD_TABLES) == {"sightings", "tracks", "relatives", "lens", "others"}
+    assert set(RECORD_TABLES) == {"sightings", "rays", "located", "tracks", "relatives", "lens", "others"}
 
 
 @pytest.mark.parametrize("heading", sorted(NAMED))
