@@ -96,6 +96,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.rotating_observer",
         "benefit of the gyro for a turning observer",
     ),
+    "strangers": (
+        "swarmtrack.benchmarks.strangers",
+        "where a team finds strangers, and what it makes of claims by Remote ID",
+    ),
     "scenery": (
         "swarmtrack.benchmarks.scenery",
         "false detections among houses, poles and trees, in rendered flights",

@@ -22,7 +22,7 @@ from swarmtrack.errors import RecordingError, SourceError
 
 if TYPE_CHECKING:
     from swarmtrack.clock import ManualClock
-    from swarmtrack.messages import EgoPose, FlightState, ImuSample, Input
+    from swarmtrack.messages import EgoPose, FlightState, ImuSample, Input, RemoteIdClaim
     from swarmtrack.runtime.assembly import Parts
 
 BEGIN_S = 1000.0  # of our clock, at the log's first record
@@ -71,6 +71,9 @@ class _Log:
 
     def on_switch(self, t: float) -> None:
         """No switch is watched."""
+
+    def on_remote_id(self, claim: RemoteIdClaim) -> None:
+        self.said.append((claim.t, claim))
 
     def on_found_flying(self) -> None:
         """Where it started is the config's to say."""

@@ -46,6 +46,7 @@ from swarmtrack.onboard import Onboard, OnboardCamera
 from swarmtrack.perceived import Perceived
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion, filed_announcement
+from swarmtrack.strangers.claims import RemoteIdNews
 from swarmtrack.tracking import AGENT_PARAMETERS, DEFAULT_TRACKER, create_trackers
 from swarmtrack.tracking.base import Tracker
 
@@ -172,6 +173,8 @@ class VirtualSwarm:
         self._latency_s = latency_s
         self._places_anybody = places_anybody
         self.announcements = 0
+        self.remote_ids: list[tuple[int, RemoteIdNews]] = []
+        """Which drone has found what of claims by Remote ID."""
         self.announced_at: dict[int, float] = {}
         """World time of each drone's first announcement [s]."""
         self._identity = identity or IdentityParameters()
@@ -274,6 +277,8 @@ class VirtualSwarm:
                     )
                 elif isinstance(event, PoseWanted):
                     drone.wanted.append(event.drone_id)
+                elif isinstance(event, RemoteIdNews):
+                    self.remote_ids.append((drone_id, event))
                 elif isinstance(event, HeadingNews | DoubtNews) and drone.announced:
                     drone.announce_at = min(drone.announce_at, now)
             rate = rates[what]
@@ -351,6 +356,7 @@ class VirtualSwarm:
             self._report_strangers(drone_id, drone, now)
             events = drone.onboard.events()
             drone.wanted += [event.drone_id for event in events if isinstance(event, PoseWanted)]
+            self.remote_ids += [(drone_id, event) for event in events if isinstance(event, RemoteIdNews)]
             for wanted in drone.wanted:
                 other = self._drones[wanted]
                 if other.announced:

@@ -615,6 +615,27 @@ class StrangerReport:
         _hold(self, "position", (3,))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RemoteIdClaim:
+    """What a drone claims by Remote ID of where it is and how it flies, as the autopilot has received it.
+
+    t: when it was received; uas_id: by which the drone calls itself; position (3,) m and velocity (3,) m/s in the team
+    frame; position_sigma and vertical_sigma [m].
+    """
+
+    t: float
+    uas_id: str
+    position: Array
+    velocity: Array
+    position_sigma: float
+    vertical_sigma: float
+
+    def __post_init__(self) -> None:
+        _hold(self, "position", (3,))
+        _hold(self, "velocity", (3,))
+        object.__setattr__(self, "uas_id", plain(self.uas_id))
+
+
 PeerEvent = (
     Announcement
     | PeerArrived
@@ -641,6 +662,7 @@ Input = (
     | MotionReport
     | RangeReport
     | StrangerReport
+    | RemoteIdClaim
     | AgreedMotion
 )
 """All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""

@@ -50,6 +50,7 @@ from swarmtrack.messages import (
     PoseWanted,
     RangeReport,
     RelativeState,
+    RemoteIdClaim,
     Scan,
     ScanReport,
     SightingReport,
@@ -70,6 +71,7 @@ from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.metres import MeasuringCamera, Metres
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.range_watch import RangeNews
+from swarmtrack.strangers.claims import RemoteIdNews
 from swarmtrack.strangers.located import Strangers
 from swarmtrack.strangers.sights import ScannedTracks
 from swarmtrack.team.identities import Identities
@@ -96,6 +98,7 @@ Output = (
     | RangeNews
     | SeamNews
     | MountingNews
+    | RemoteIdNews
 )
 
 
@@ -215,6 +218,8 @@ class Onboard:
             case StrangerReport():
                 if self._identities.teammates.is_heard(event.observer):
                     self._strangers.hear(event, self.gyro.newest)
+            case RemoteIdClaim():
+                self._strangers.hear_claim(event)
             case AgreedMotion():
                 if event.drone_id == self._drone_id:
                     self._flight.agree(event)
@@ -256,6 +261,11 @@ class Onboard:
     def stranger_report(self, boot: str, sequence: int) -> StrangerReport | None:
         """On which rays this drone saw strangers in its last scan; None where it saw none."""
         return self._strangers.report(boot, sequence)
+
+    @property
+    def stranger_numbers(self) -> dict[int, int]:
+        """By track, the number of the stranger that it is."""
+        return self._strangers.by_track
 
     def tracks(self, now: float) -> TrackList:
         """Everything tracked, carried on to now; nothing once the scans have stayed away for too long."""
@@ -387,7 +397,7 @@ class Onboard:
             labelled = self._metres.observe(labelled, scan, own, number)
             if self._stuck.is_live(number, t):
                 scanned = ScannedTracks(labelled, scan, number, self._identities.p_none())
-                self._strangers.observe(scanned, self._stated(own), self._view)
+                self._events += self._strangers.observe(scanned, self._stated(own), self._view)
         found = TrackList(t, t, labelled)
         self._events.append(ScanReport(detections.sequence, found, number, self._strangers.located(t)))
         self._events += map(PoseWanted, wanted)

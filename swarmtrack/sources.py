@@ -19,6 +19,7 @@ from swarmtrack.messages import (
     Frame,
     ImuSample,
     LinkStatus,
+    RemoteIdClaim,
 )
 
 SIMULATIONS = "swarmtrack.simulations"
@@ -76,6 +77,10 @@ class AutopilotListener(Protocol):
     def on_autopilot_reboot(self) -> None: ...
     def on_switch(self, t: float) -> None:
         """The pilot's switch was thrown at t [s, our clock], where one is watched."""
+        ...
+
+    def on_remote_id(self, claim: RemoteIdClaim) -> None:
+        """Remote ID of another aircraft was received, where the team's origin is known."""
         ...
 
     def on_found_flying(self) -> None:

@@ -258,3 +258,11 @@ POSE_MISSED_S = 3.0
 QUATERNION_PREFERRED_S = 1.0
 # Unanswered for so long by an autopilot that speaks MAVLink 1, we speak that too.
 MAVLINK_1_AFTER_S = 2.0
+
+# Remote ID (`remote_id`): how OPEN_DRONE_ID_LOCATION states what is unknown.
+REMOTE_ID_NO_ALTITUDE_M = -1000.0
+REMOTE_ID_SPEED_UNKNOWN_CM_S, REMOTE_ID_COURSE_UNKNOWN_CDEG, REMOTE_ID_CLIMB_UNKNOWN_CM_S = 25500, 36100, 6300
+# One sigma of a height above another drone's take-off as one above the origin, and of one above the ellipsoid.
+REMOTE_ID_GROUND_SIGMA_M, REMOTE_ID_ELLIPSOID_SIGMA_M = 5.0, 50.0
+# Senders whose names are remembered.
+REMOTE_IDS_KEPT = 256

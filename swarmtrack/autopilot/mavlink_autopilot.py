@@ -52,14 +52,16 @@ from swarmtrack.autopilot.link_state import LinkState, State
 from swarmtrack.autopilot.links import Link, LinkDown, TlogLink, UdpLink, Wire, open_link
 from swarmtrack.autopilot.parameters import ParameterReader
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
+from swarmtrack.autopilot.remote_id import RemoteIdReader
 from swarmtrack.autopilot.senders import flight_states_apart
 from swarmtrack.autopilot.signing import Codec, read_key
 from swarmtrack.autopilot.streams import GLOBAL_POSE, LOCAL_POSE, Answer, StreamRequests
 from swarmtrack.autopilot.telemetry import Telemetry
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
+from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.mavlink_dialect import CURRENT_MODE
-from swarmtrack.messages import LinkStatus
+from swarmtrack.messages import LinkStatus, RemoteIdClaim
 from swarmtrack.sources import AutopilotListener
 
 log = logging.getLogger(__name__)
@@ -144,7 +146,9 @@ class MavlinkAutopilot:
         gyro_delay_s: float | None = None,
         switch: PilotSwitch | None = None,
         engagement: PilotEngagement | None = None,
+        origin: Geodetic | None = None,
     ) -> None:
+        """origin: of the team frame, by which Remote ID of others is read; None: it is not."""
         _check(imu_rate_hz, system_id)
         self._clock = clock
         self._link = open_link(link, clock) if isinstance(link, str) else link
@@ -180,6 +184,7 @@ class MavlinkAutopilot:
             news=self._news,
             switch=switch,
         )
+        self._remote_ids = None if origin is None else RemoteIdReader(origin, self._on_remote_id)
         self._readers = self._make_readers()
         self._parameters: ParameterReader | None = None
         self._account = Account(self._link.address.scheme)
@@ -203,12 +208,17 @@ class MavlinkAutopilot:
             common.MAVLINK_MSG_ID_COMMAND_ACK: self._on_ack,
             **self._telemetry.readers,
         }
+        if self._remote_ids is not None:
+            readers |= self._remote_ids.readers
         if self._reads_channels:
             readers[RC_CHANNELS] = self._on_channels
         if self._engagement is not None:
             readers[CURRENT_MODE] = self._engagement.on_current_mode
             readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
         return readers
+
+    def _on_remote_id(self, claim: RemoteIdClaim) -> None:
+        self._telemetry.listener.on_remote_id(claim)
 
     def read_parameters(self, reader: ParameterReader) -> None:
         """Request further parameters; to be called before `run`."""
@@ -475,8 +485,14 @@ class MavlinkAutopilot:
             )
         if (frame.system, frame.component) == contact.address:
             return frame.id in self._readers
-        # Of others, whether they are autopilots; but with a key, what they say is not for us to verify.
-        return frame.id == HEARTBEAT and not self._codec.has_key
+        # Of others, whether they are autopilots, and what a receiver of Remote ID aboard hears; but with a key, what
+        # they say is not for us to verify.
+        return (frame.id == HEARTBEAT or self._is_of_receiver(frame)) and not self._codec.has_key
+
+    def _is_of_receiver(self, frame: MavlinkFrame) -> bool:
+        """Whether it is of a receiver of Remote ID aboard."""
+        known = self._remote_ids is not None and frame.id in self._remote_ids.readers
+        return known and frame.system == self._contact.system
 
     def _on_frame(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
         """Take a frame once the autopilot is known; message: what it decodes to, None where it was refused."""
@@ -485,6 +501,8 @@ class MavlinkAutopilot:
         if address != contact.address:
             contact.foreign += 1
             self._note_source(t, frame, message)
+            if message is not None and self._is_of_receiver(frame):
+                self._readers[frame.id](t, message)
             return False
         if frame.data[0] == V2:
             contact.version_2_at = t

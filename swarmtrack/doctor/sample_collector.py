@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from swarmtrack.messages import EgoPose, FlightState, ImuSample
+from swarmtrack.messages import EgoPose, FlightState, ImuSample, RemoteIdClaim
 from swarmtrack.motion.hand_eye import GyroTurns
 from swarmtrack.sources import AutopilotListener
 
@@ -37,6 +37,9 @@ class SampleCollector(AutopilotListener):
         """Ignored."""
 
     def on_found_flying(self) -> None:
+        """Ignored."""
+
+    def on_remote_id(self, claim: RemoteIdClaim) -> None:
         """Ignored."""
 
     def on_switch(self, t: float) -> None:

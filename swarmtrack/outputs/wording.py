@@ -36,6 +36,7 @@ from swarmtrack.motion.ground_heights import GroundHeightNews
 from swarmtrack.outputs.teammates_on_earth import worst_sigma
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
+from swarmtrack.strangers.claims import RemoteIdNews
 
 COMPASS_POINTS = ("north", "northeast", "east", "southeast", "south", "southwest", "west", "northwest")
 COMPASS_INITIALS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
@@ -51,6 +52,7 @@ News = (
     | Disagreement
     | SeamNews
     | MountingNews
+    | RemoteIdNews
 )
 
 
@@ -134,6 +136,11 @@ def describe(news: News) -> str:
                 f"drone {news.observer} and we see drone {news.drone_id} in different places "
                 f"({news.miss_m:.1f} m apart)"
             )
+        case RemoteIdNews(number=None, off_m=off_m):
+            where = "nothing is there" if math.isnan(off_m) else f"its drone is {off_m:.0f} m away"
+            return f"the Remote ID of {news.uas_id!r} is false: {where}"
+        case RemoteIdNews():
+            return f"stranger {news.number} is {news.uas_id!r} by Remote ID"
         case SeamNews():
             return _describe_seam(news)
         case MountingNews():

@@ -30,6 +30,7 @@ from swarmtrack.messages import (
     PeerDeparted,
     PeerExpelled,
     RangeReport,
+    RemoteIdClaim,
     Sighting,
     SightingReport,
     StrangerRay,
@@ -213,6 +214,19 @@ FORMS: tuple[Form, ...] = (
             Entry("tilt_sigma", "tilt_sigma_rad"),
             Entry("heading_sigma", "heading_sigma_rad"),
             Entry("rays", "rays", form=_STRANGER_RAY),
+        ),
+    ),
+    Form(
+        "/autopilot/remote_id",
+        "swarmtrack.RemoteIdClaim",
+        RemoteIdClaim,
+        (
+            _T,
+            Entry("uas_id", "uas_id", type="string"),
+            _POSITION,
+            Entry("velocity", "velocity_m_s", (3,)),
+            Entry("position_sigma", "position_sigma_m"),
+            Entry("vertical_sigma", "vertical_sigma_m"),
         ),
     ),
     Form(

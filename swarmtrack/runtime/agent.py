@@ -29,6 +29,7 @@ from swarmtrack.messages import (
     ImuSample,
     Input,
     PoseWanted,
+    RemoteIdClaim,
     ScanReport,
 )
 from swarmtrack.motion.ground_heights import GroundHeightNews
@@ -50,6 +51,7 @@ from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
 from swarmtrack.runtime.turns import FairTurns, NewestFrames, in_order
 from swarmtrack.sources import Camera, DetectionSource
+from swarmtrack.strangers.claims import RemoteIdNews
 
 if TYPE_CHECKING:
     from swarmtrack.outputs.annotated_video import AnnotatedVideo
@@ -202,6 +204,10 @@ class Agent:
         """Flight state from the autopilot, on the event loop."""
         self.deliver(state)
 
+    def on_remote_id(self, claim: RemoteIdClaim) -> None:
+        """Remote ID of another aircraft from the autopilot's link, on the event loop."""
+        self.deliver(claim)
+
     def on_found_flying(self) -> None:
         """From the autopilot, on the event loop."""
         if self._start is not None:
@@ -331,6 +337,8 @@ class Agent:
                     self._team.on_astray(event)
                 case FrameNews():
                     self._team.on_frame(event)
+                case RemoteIdNews():
+                    self._team.on_remote_id(event)
                 case RangeNews():
                     self._team.on_range_news(event)
                 case HeadingNews():

@@ -280,6 +280,7 @@ def make_autopilot(
         gyro_delay_s=config.motion.gyro_delay_s,
         switch=_pilot_switch(config.team.code.switch if config.team.code else None),
         engagement=engagement,
+        origin=None if config.team.origin is None else config.team.origin.place(),
     )
 
 

@@ -44,6 +44,7 @@ from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.filed import coded_motion
 from swarmtrack.runtime.health import Health
+from swarmtrack.strangers.claims import RemoteIdNews
 from swarmtrack.transport.base import Kind, Transport
 from swarmtrack.wire import codec
 from swarmtrack.wire.camera import camera_message
@@ -293,6 +294,10 @@ class Teamwork:
     def on_frame(self, news: FrameNews) -> None:
         """A teammate's start is not where it was announced, or is after all."""
         self._note(news.drone_id, describe(news), logging.WARNING)
+
+    def on_remote_id(self, news: RemoteIdNews) -> None:
+        """A claim by Remote ID fits a stranger, or is false."""
+        self._note(0, describe(news), logging.WARNING if news.number is None else logging.INFO)
 
     def on_range_news(self, news: RangeNews) -> None:
         """The distances that our ranging radio measures do not fit what we see, or do again."""

@@ -18,6 +18,7 @@ from swarmtrack.messages import (
     Array,
     LocatedStranger,
     RelativeState,
+    RemoteIdClaim,
     SightingReport,
     StrangerRay,
     StrangerReport,
@@ -26,6 +27,7 @@ from swarmtrack.motion.ego import TeamPose
 from swarmtrack.relative.metres import MeasuringCamera
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.relative.priors import USUAL_SPAN_M
+from swarmtrack.strangers.claims import RemoteIdNews, RemoteIds
 from swarmtrack.strangers.mates import MatePlace, MateSight, MateSights
 from swarmtrack.strangers.numbers import OwnNumbers
 from swarmtrack.strangers.priors import (
@@ -33,6 +35,7 @@ from swarmtrack.strangers.priors import (
     EARLY_RAY_S,
     LATE_RAY_S,
     MATE_HEADING_RAD,
+    MATE_SIGHT_PERIOD_S,
     MATE_TILT_RAD,
     MAY_BE_MATE_M,
     MAY_BE_MATE_SIGMAS,
@@ -40,7 +43,7 @@ from swarmtrack.strangers.priors import (
     MOST_RAY_OBSERVERS,
     MOST_RAYS_OF_REPORT,
     MOST_STRANGERS,
-    OWN_VIEW_PERIOD_S,
+    OWN_RAY_PERIOD_S,
     STRANGER_LASTS_S,
     STRANGER_SEEN_S,
     VAGUE_OBSERVER_M,
@@ -48,7 +51,7 @@ from swarmtrack.strangers.priors import (
     VAGUE_RAY_S,
 )
 from swarmtrack.strangers.ray_filter import Errors, Ray, RayFilter
-from swarmtrack.strangers.sights import OwnSight, ScannedTracks, own_sight
+from swarmtrack.strangers.sights import OwnSight, ScannedTracks, own_sight, shows_nothing
 
 
 class Strangers:
@@ -58,8 +61,7 @@ class Strangers:
         self, drone_id: int, parameters: RelativeParameters, *, cameras: Sequence[MeasuringCamera]
     ) -> None:
         """parameters: of the detector's boxes and the autopilot's tilt; the team's span is none of a stranger's."""
-        self.counters: Counter[str] = Counter()
-        """What was rejected."""
+        self._counters: Counter[str] = Counter()
         self._drone_id = drone_id
         self._cameras = tuple(cameras)
         self._tilt_sigma = parameters.tilt_sigma
@@ -76,6 +78,14 @@ class Strangers:
         """By number and observer, since when its rays do not fit, s."""
         self._sight: OwnSight | None = None
         self._viewed_t = -math.inf
+        self._looked: dict[int, float] = {}
+        """By own camera, when its rays were last used, s."""
+        self._remote_ids = RemoteIds()
+
+    @property
+    def counters(self) -> Counter[str]:
+        """What was rejected."""
+        return self._counters + self._remote_ids.counters
 
     def __bool__(self) -> bool:
         """Whether there are any."""
@@ -83,14 +93,15 @@ class Strangers:
 
     # --- what this drone sees, and what its teammates send ---
 
-    def observe(self, scanned: ScannedTracks, observer: TeamPose, view: OwnView | None) -> None:
-        """A scan of one of the cameras. observer: the own pose, as it is stated; view: the rays to teammates in it."""
+    def observe(self, scanned: ScannedTracks, observer: TeamPose, view: OwnView | None) -> list[RemoteIdNews]:
+        """A scan of one of the cameras. observer: the own pose, as it is stated; view: the rays to teammates in it.
+        Returns news of claims by Remote ID."""
         t = observer.t
-        if view is not None and t - self._viewed_t >= OWN_VIEW_PERIOD_S:
+        if view is not None and t - self._viewed_t >= MATE_SIGHT_PERIOD_S:
             self._viewed_t = t
             self.hear_sightings(view.report(self._drone_id, "", 0, ()))
         lens, body_from_camera, tracker = self._cameras[scanned.camera]
-        scan = scanned.scan
+        scan, due = scanned.scan, t - self._looked.get(scanned.camera, -math.inf) >= OWN_RAY_PERIOD_S
         sizes = scan.size if scan.size is not None else np.full((len(scan.z), 2), np.nan)
         sight = own_sight(
             scanned,
@@ -99,9 +110,26 @@ class Strangers:
             lens=lens,
             body_from_camera=body_from_camera,
             tilt_sigma=self._tilt_sigma,
+            with_rays=due,
             padding_px=self._padding_px,
         )
+        if any(sight.tracks.values()):
+            self._looked[scanned.camera] = t
         self.take_sight(sight)
+        if not self._remote_ids:
+            return []
+        return self._remote_ids.judge(
+            t,
+            self.located(t),
+            self._mates.places(t).values(),
+            lambda place: shows_nothing(
+                place, scanned, observer, self._cameras[scanned.camera], self._width_m
+            ),
+        )
+
+    def hear_claim(self, claim: RemoteIdClaim) -> None:
+        """What a drone claims by Remote ID, as this drone's autopilot has received it."""
+        self._remote_ids.hear(claim)
 
     def take_sight(self, sight: OwnSight) -> None:
         """What a scan of this drone shows of strangers."""
@@ -110,12 +138,14 @@ class Strangers:
             if track in sight.alive:
                 # It may be a teammate after all; one that has left the picture still is a stranger.
                 self._withdraw(number)
-        self._sight = sight
+        if not sight.tracks or any(sight.tracks.values()):
+            self._sight = sight
         if _is_vague(sight.errors) or not (sight.tracks or self._seen):
             self._forget_old(t)
             return
         self._errors[self._drone_id] = sight.errors
-        self._calibrate()
+        if self._seen:
+            self._calibrate()
         for track, seen in sight.tracks.items():
             if seen is not None:
                 self._follow(track, self._ray(self._drone_id, sight, seen), sight.foreign)
@@ -125,17 +155,18 @@ class Strangers:
         """A teammate sees strangers. now [s]; None: unknown, so that its time cannot be checked."""
         errors = Errors(report.position_sigma, report.tilt_sigma, report.heading_sigma)
         if _is_vague(errors) or report.t_sigma > VAGUE_RAY_S:
-            self.counters["strangers_vague"] += 1
+            self._counters["strangers_vague"] += 1
             return
         if now is None or not now - LATE_RAY_S <= report.t <= now + EARLY_RAY_S:
-            self.counters["strangers_late"] += 1
+            self._counters["strangers_late"] += 1
             return
         if not self._admits(report.observer):
-            self.counters["strangers_crowded"] += 1
+            self._counters["strangers_crowded"] += 1
             return
         self._errors[report.observer] = errors
-        self._calibrate()
-        self.counters["strangers_crowded"] += max(len(report.rays) - MOST_RAYS_OF_REPORT, 0)
+        if self._seen:
+            self._calibrate()
+        self._counters["strangers_crowded"] += max(len(report.rays) - MOST_RAYS_OF_REPORT, 0)
         for seen in report.rays[:MOST_RAYS_OF_REPORT]:
             self._take(seen.number, self._ray(report.observer, report, seen))
         told = {seen.number for seen in report.rays}
@@ -165,13 +196,13 @@ class Strangers:
         """All strangers at t, by number; those that are where a teammate is are left out."""
         if not self._seen:
             return ()
-        mates = self._mates.places(t)
+        mates, claimed = self._mates.places(t), self._remote_ids.of_number
         found = []
         for number in sorted(self._seen):
             place = self._filter.place(number, t)
             seen = self._seen[number]
             observers = tuple(sorted(o for o, last in seen.items() if t - last <= STRANGER_SEEN_S))
-            one = LocatedStranger(number, t, place.position, place.velocity, place.cov, observers)
+            one = LocatedStranger(number, t, *place, observers, claimed.get(number, ""))
             if not (len(seen) > 1 and _may_be_mate(one, mates)):
                 found.append(one)
         return tuple(found)
@@ -261,7 +292,7 @@ class Strangers:
         if number in self._seen:
             fits = self._filter.fold(number, ray)
             if not fits:
-                self.counters["stranger_rays_refused"] += 1
+                self._counters["stranger_rays_refused"] += 1
                 since = self._misfits.setdefault(key, ray.t)
                 others = [last for o, last in self._seen[number].items() if o != ray.observer]
                 if ray.t - since < MISFITS_FOR_S or ray.t - max(others, default=-math.inf) < STRANGER_SEEN_S:
@@ -270,8 +301,10 @@ class Strangers:
                 self._end(number)
         if number not in self._seen:
             if len(self._seen) >= MOST_STRANGERS:
-                self.counters["strangers_crowded"] += 1
+                self._counters["strangers_crowded"] += 1
                 return False
+            if not self._seen:
+                self._calibrate()
             self._filter.begin(number, ray)
         self._misfits.pop(key, None)
         self._seen.setdefault(number, {})[ray.observer] = ray.t
@@ -304,10 +337,9 @@ class Strangers:
         return observer in known or len(known) < MOST_RAY_OBSERVERS
 
     def _calibrate(self) -> None:
-        """What observers' rays to each other show, of the last seconds at first."""
+        """What observers' rays to each other show; of the last seconds, where the first stranger is about to begin."""
         news = self._mates.take()
-        begins = not self._filter.observers
-        for sight in list(self._mates.kept) if begins else news:
+        for sight in news if self._seen else self._mates.kept:
             if self._admits(sight.observer) and self._admits(sight.mate):
                 self._calibrate_by(sight)
 
@@ -320,7 +352,7 @@ class Strangers:
             errors(sight.observer, sight.camera_sigma),
         )  # fmt: skip
         if not self._filter.calibrate(ray, sight.mate, sight.place, errors(sight.mate, sight.place_sigma)):
-            self.counters["mate_rays_refused"] += 1
+            self._counters["mate_rays_refused"] += 1
 
 
 def _is_vague(errors: Errors) -> bool:

@@ -21,6 +21,7 @@ from swarmtrack.strangers.priors import (
     MATE_CENTRE_SIGMA_M,
     MATE_LEAST_PROBABILITY,
     MATE_NEAREST_M,
+    MATE_SIGHT_PERIOD_S,
     MATE_SPEED_M_S,
     MATE_TURNED_SIGHTS_KEPT,
     MOST_MATES,
@@ -59,6 +60,8 @@ class _Mate:
         default_factory=lambda: deque(maxlen=MATE_TURNED_SIGHTS_KEPT)
     )
     """Rays to it that are newer than its last report."""
+    sighted: dict[int, float] = field(default_factory=dict)
+    """By observer, when its last ray was taken, s: what lasts of its error is the same in the next ones."""
 
 
 class MateSights:
@@ -67,7 +70,7 @@ class MateSights:
     def __init__(self) -> None:
         self._mates: dict[int, _Mate] = {}
         self._sights: deque[MateSight] = deque(maxlen=MATE_TURNED_SIGHTS_KEPT)
-        self._news: list[MateSight] = []
+        self._news: deque[MateSight] = deque(maxlen=MATE_TURNED_SIGHTS_KEPT)
 
     def hear(self, report: SightingReport) -> None:
         """A report of any drone; one that is vague or not newer is ignored."""
@@ -83,12 +86,16 @@ class MateSights:
             self._mates[report.observer] = _Mate(report)
         for seen in report.sightings:
             target = self._mates.get(seen.drone_id)
-            if target is not None and seen.probability >= MATE_LEAST_PROBABILITY:
+            if target is None or seen.probability < MATE_LEAST_PROBABILITY:
+                continue
+            if report.t - target.sighted.get(report.observer, -math.inf) >= MATE_SIGHT_PERIOD_S:
+                target.sighted[report.observer] = report.t
                 target.awaited.append((report, seen))
 
     def take(self) -> list[MateSight]:
         """What is known since the last call."""
-        news, self._news = self._news, []
+        news = list(self._news)
+        self._news.clear()
         self._sights += news
         return news
 
@@ -112,9 +119,10 @@ class MateSights:
     def forget(self, drone_id: int) -> None:
         """What was stated in its name counts no more."""
         self._mates.pop(drone_id, None)
-        self._news = [sight for sight in self._news if drone_id not in (sight.observer, sight.mate)]
-        kept = [sight for sight in self._sights if drone_id not in (sight.observer, sight.mate)]
-        self._sights = deque(kept, maxlen=self._sights.maxlen)
+        for sights in (self._news, self._sights):
+            kept = [sight for sight in sights if drone_id not in (sight.observer, sight.mate)]
+            sights.clear()
+            sights.extend(kept)
 
 
 def _sight(

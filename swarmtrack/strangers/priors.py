@@ -25,7 +25,9 @@ RAY_GATE = 17.0
 # The same of one degree of freedom.
 SIZE_GATE = 14.0
 # Gauss-Newton steps of one ray, ln(range) that each may go, and when the last one was small.
-RAY_STEPS, RAY_STEP_MOST_LN, RAY_STEP_SMALL = 6, 0.7, 1e-3
+RAY_STEPS, RAY_STEP_MOST_LN, RAY_STEP_SMALL = 6, 0.7, 0.02
+# ln: of a range that is known better the size of a box shows nothing more.
+SIZE_SHOWS_SIGMA_LN = 0.15
 # cos: a ray that is turned farther from where it is expected is of another target, wherever along its ray that is.
 RAY_LEAST_COSINE = 0.05
 
@@ -35,8 +37,8 @@ MOST_MATES, MATE_TURNED_SIGHTS_KEPT = 64, 64
 MATE_BRACKET_S, MATE_SPEED_M_S, MATE_NEAREST_M = 2.0, 1.0, 1.5
 # Of a sighting that shows a heading.
 MATE_LEAST_PROBABILITY = 0.95
-# s between two own views that do.
-OWN_VIEW_PERIOD_S = 1.0
+# s between two of one observer to one teammate that do.
+MATE_SIGHT_PERIOD_S = 1.0
 # What lasts of the attitude of an observer that does not state it, rad: tilt and heading.
 MATE_TILT_RAD, MATE_HEADING_RAD = 0.0087, 0.026
 
@@ -54,7 +56,9 @@ NUMBERS_OF_OBSERVER = 100
 # s that a track fits a stranger before it takes that number, and before it claims one; and before it gives up a number
 # for a lower one, or because its rays do not fit.
 FITS_FOR_S, CLAIMS_AFTER_S, CLAIMS_AT_LAST_S, GIVES_WAY_AFTER_S, MISFITS_FOR_S = 0.5, 0.7, 2.0, 1.2, 1.0
-FITS_LEAST_RAYS = 4
+FITS_LEAST_RAYS = 3
+# s between two own rays that are used: of more the lasting errors are the same.
+OWN_RAY_PERIOD_S = 0.25
 # Mean cost of the rays while they fit: its expectation is 2. And by so much, per ray, it must be less than with any
 # other.
 FITS_MOST_COST, FITS_MARGIN = 6.0, 3.0
@@ -64,3 +68,14 @@ STRANGER_LASTS_S, STRANGER_SEEN_S = 4.0, 1.0
 MAY_BE_MATE_M, MAY_BE_MATE_SIGMAS = 1.5, 3.0
 # A stranger is kept clear of where its place is known to this share of its distance: one sigma of the worst axis.
 BARRIER_STRANGER_SIGMA_LN = 0.3
+
+# --- Claims by Remote ID (`claims`): how many, and s that the newest counts: these are broadcast once a second.
+MOST_CLAIMS, CLAIM_LASTS_S = 32, 4.0
+# Squared Mahalanobis distance, three degrees of freedom, 99.9 %; the least sigma of a claim; how its drone may turn.
+CLAIM_GATE, CLAIM_LEAST_SIGMA_M, CLAIM_ACCELERATION_M_S2 = 16.3, 1.0, 2.0
+# s that it fits a stranger, or that it cannot be true, before that is reported.
+CLAIM_FITS_AFTER_S, CLAIM_FALSE_AFTER_S = 1.0, 2.0
+# px: as wide as a usual drone's box must be for a detector to find it; and so far from the border or a track.
+CLAIM_SEEN_PX, CLAIM_MARGIN_PX = 12.0, 20.0
+# Sigmas around a claimed place that must be in view, and empty.
+CLAIM_SIGMAS = 2.0

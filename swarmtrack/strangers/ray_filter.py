@@ -46,6 +46,7 @@ from swarmtrack.strangers.priors import (
     RAY_STEP_SMALL,
     RAY_STEPS,
     SIZE_GATE,
+    SIZE_SHOWS_SIGMA_LN,
     VISITOR_ACCELERATION_PSD_M2_S3,
     VISITOR_BOX_SIGMA_LN,
     VISITOR_CLIMB_M_S,
@@ -274,7 +275,8 @@ class RayFilter:
         self.predict(ray.t)
         self.observe_from(ray.observer, ray.errors)
         fits = self._fold(self._seen(number, ray), ray.sigma**2 + self._late(number, ray), RAY_GATE)
-        if fits and math.isfinite(ray.range_ln):
+        k = self._offset["stranger", number] + _RANGE
+        if fits and math.isfinite(ray.range_ln) and self._P[k, k] > SIZE_SHOWS_SIGMA_LN**2:
             self._fold(self._sized(number, ray), VISITOR_BOX_SIGMA_LN**2, SIZE_GATE)
         return fits
 

@@ -15,7 +15,16 @@ from swarmtrack.messages import FOREIGN, Array, IdentifiedTrack, Scan, StrangerR
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.looks import TeamLook
-from swarmtrack.strangers.priors import P_STRANGER_KEPT, P_STRANGER_RAY, RAY_WHITE_RAD
+from swarmtrack.relative.metres import MeasuringCamera
+from swarmtrack.strangers.claims import ClaimedPlace
+from swarmtrack.strangers.priors import (
+    CLAIM_MARGIN_PX,
+    CLAIM_SEEN_PX,
+    CLAIM_SIGMAS,
+    P_STRANGER_KEPT,
+    P_STRANGER_RAY,
+    RAY_WHITE_RAD,
+)
 from swarmtrack.strangers.ray_filter import Errors
 
 
@@ -55,15 +64,16 @@ def own_sight(
     body_from_camera: Pose,
     tilt_sigma: float,
     padding_px: float,
+    with_rays: bool = True,
 ) -> OwnSight:
-    """R (m, 2, 2) px²: of the scan's detections; observer: as it states its pose."""
+    """R (m, 2, 2) px²: of the scan's detections; observer: as it states its pose. with_rays: else all are None."""
     pose = observer.pose @ body_from_camera
     errors = Errors(observer.position_sigma, tilt_sigma, math.sqrt(float(observer.attitude_cov[2, 2])))
     p_none = {entry.track.id: _p_none(entry, scanned.p_none) for entry in scanned.tracks}
     rays: dict[int, StrangerRay | None] = dict.fromkeys(
         id for id, p in p_none.items() if p >= P_STRANGER_KEPT
     )
-    if rays:
+    if rays and with_rays:
         as_named = [
             IdentifiedTrack(entry.track, 0 if p_none[entry.track.id] >= P_STRANGER_RAY else None, 0.0)
             for entry in scanned.tracks
@@ -77,6 +87,31 @@ def own_sight(
                 rays[track] = StrangerRay(0, look.ray[i] / np.linalg.norm(look.ray[i]), sigma, width)
     foreign = frozenset(entry.track.id for entry in scanned.tracks if entry.identity == FOREIGN)
     return OwnSight(observer.t, observer.t_sigma, pose.position, errors, rays, foreign, frozenset(p_none))
+
+
+def shows_nothing(
+    place: ClaimedPlace, scanned: ScannedTracks, observer: TeamPose, mounted: MeasuringCamera, width_m: float
+) -> bool:
+    """Whether a camera has a claimed place in view, near enough for a usual drone of width_m [m] to be found there, and
+    has no track of anything there."""
+    lens, pose = mounted.camera, observer.pose @ mounted.body_from_camera
+    ends = place.position + np.outer([-place.vertical, 0.0, place.vertical], [0.0, 0.0, 1.0])
+    seen = pose.inverse().transform(ends)
+    distance = float(np.linalg.norm(seen[1]))
+    if width_m * lens.fx < CLAIM_SEEN_PX * distance:
+        return False
+    pixels, _, valid = lens.project(seen)
+    angle = CLAIM_SIGMAS * math.hypot(place.sigma / distance, observer.attitude_sigma)
+    margin = CLAIM_MARGIN_PX + lens.fx * angle
+    corners = np.concatenate([pixels + margin, pixels - margin])
+    if not valid.all() or not np.asarray(lens.contains(corners)).all():
+        return False
+    low, high = lens.undistort(pixels).min(axis=0) - margin, lens.undistort(pixels).max(axis=0) + margin
+    return not any(
+        (low <= entry.track.mean[::2]).all() and (entry.track.mean[::2] <= high).all()
+        for entry in scanned.tracks
+        if entry.track.camera == scanned.camera
+    )
 
 
 def _p_none(entry: IdentifiedTrack, p_none: Mapping[int, float]) -> float:

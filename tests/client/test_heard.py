@@ -7,6 +7,7 @@ import msgpack
 import numpy as np
 import pytest
 
+from support.golden_bytes import STRANGERS_BYTES
 from support.seen_swarm import COV, FORWARD, LENS, healthy, seen, stranger
 from swarmtrack.client.axes import Axes
 from swarmtrack.client.heard import HeardTeam
@@ -193,3 +194,22 @@ def test_a_track_of_a_camera_that_nobody_described_has_no_direction(team):
     behind = replace(stranger(), track=stranger().track._replace(camera=1))
     (target,) = team.on_tracks(sample(Kind.TRACKS, seen(1, behind))).targets
     assert (target.camera, target.direction_camera, target.direction_body) == (1, None, None)
+
+
+def test_a_stranger_is_handed_over_in_the_axes_that_are_asked_for():
+    data = bytes.fromhex(STRANGERS_BYTES)
+    for axes, position, variances in (
+        (Axes.NED, [8.0, -1.5, -7.0], [0.25, 0.25, 0.5, 1.0, 1.0, 0.5]),
+        (Axes.ENU, [-1.5, 8.0, 7.0], [0.25, 0.25, 0.5, 1.0, 1.0, 0.5]),
+    ):
+        team = HeardTeam("red", axes)
+        team.on_token(token(drone_id=7), True, 0.0)
+        (one,) = team.on_strangers(sample(Kind.STRANGER, data, key_id=7))
+        assert (one.drone_id, one.number, one.observers, one.remote_id) == (7, 701, (3, 7), "UAS-1")
+        np.testing.assert_allclose(one.position, position)
+        np.testing.assert_allclose(np.diag(one.cov), variances)
+
+
+def test_garbage_in_the_name_of_strangers_is_counted(team):
+    assert team.on_strangers(sample(Kind.STRANGER, b"\x93\x01\xc1")) == ()
+    assert team.counters["stranger_malformed"] == 1

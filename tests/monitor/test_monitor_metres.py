@@ -12,16 +12,18 @@ import pytest
 
 pytest.importorskip("zenoh", reason="Zenoh has no wheel here")
 
+from support.golden_bytes import STRANGERS_BYTES
 from support.seen_swarm import LENS, UTC, seen, teammate
 from swarmtrack.clock import ManualClock
 from swarmtrack.monitor.metres import MAPPED, metres
 from swarmtrack.monitor.overlay import boxes
-from swarmtrack.monitor.team import VIEW_S, MonitoredTeam
+from swarmtrack.monitor.team import STRANGERS_SHOWN_S, VIEW_S, MonitoredTeam
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.wire import codec
 from swarmtrack.wire.checks import upper_triangle
 from swarmtrack.wire.lens import lens_message
+from swarmtrack.wire.strangers import StrangersMessage
 from swarmtrack.wire.video import VideoMessage
 
 
@@ -111,3 +113,33 @@ def test_tracks_that_cannot_be_read_are_counted_once():
     assert heard.metres() == []
     assert heard.metres() == []
     assert heard.team.unreadable == 1
+
+
+STRANGERS = bytes.fromhex(STRANGERS_BYTES)
+
+
+def test_a_stranger_is_on_the_map_as_long_as_it_is_reported():
+    heard = Heard(7)
+    heard.say(Kind.STRANGER, 7, STRANGERS)
+    (one,) = heard.team.state()["strangers"]
+    assert (one.number, one.north_m, one.east_m, one.down_m) == (701, 8.0, -1.5, -7.0)
+    assert (one.long_m, one.short_m) == (1.5, 1.5)
+    assert (one.observers, one.remote_id) == (2, "UAS-1")
+    heard.clock.set(100.0 + STRANGERS_SHOWN_S + 0.1)
+    assert heard.team.state()["strangers"] == []
+
+
+def test_of_several_that_see_a_stranger_the_one_that_knows_it_best_is_shown():
+    heard = Heard(7)
+    message = codec.decode(StrangersMessage, STRANGERS)
+    vague = msgspec.structs.replace(message.located[0], cov=tuple(9.0 * c for c in message.located[0].cov))
+    other = msgspec.structs.replace(message, drone_id=3, boot="00000003", located=(vague,))
+    heard.say(Kind.STRANGER, 3, codec.encode(other))
+    heard.say(Kind.STRANGER, 7, STRANGERS)
+    assert [one.long_m for one in heard.team.state()["strangers"]] == [1.5]
+
+
+def test_strangers_in_anothers_name_are_not_shown():
+    heard = Heard(7)
+    heard.say(Kind.STRANGER, 3, STRANGERS)
+    assert heard.team.state()["strangers"] == []

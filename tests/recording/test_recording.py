@@ -8,6 +8,7 @@ import math
 import os
 import random
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -34,17 +35,21 @@ from swarmtrack.messages import (
     FlightState,
     IdClash,
     ImuSample,
+    LocatedStranger,
     MotionReport,
     PeerArrived,
     PeerDeparted,
     PeerExpelled,
     RangeReport,
+    RemoteIdClaim,
+    ScanReport,
     Sighting,
     SightingReport,
     StrangerRay,
     StrangerReport,
+    TrackList,
 )
-from swarmtrack.recording import inputs
+from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.info import summarise
 from swarmtrack.recording.merge import merge, shifts
 from swarmtrack.recording.reader import files_below, recordings_below
@@ -94,6 +99,7 @@ EVENTS = [
     ),
     MotionReport(2, "0123abcd", 4, 5.7, 0.01, np.array(AWKWARD[:3]), EYE / 3, np.array(AWKWARD[1:4]), EYE),
     RangeReport(1, 2, 5.8, 0.01, 1 / 3, 0.1),
+    RemoteIdClaim(5.5, "UAS-1", np.array(AWKWARD[:3]), np.array(AWKWARD[1:4]), 1 / 3, 5.0),
     StrangerReport(
         2, "0123abcd", 9, 5.5, 0.01, np.zeros(3), 0.1, 0.01, 1 / 30,
         (StrangerRay(201, np.array([0.6, 0.8, 0.0]), 0.01, 1 / 30), StrangerRay(202, EYE[2], 0.1, 0.0)),
@@ -428,3 +434,17 @@ def test_strangers_are_merged_by_utc(flown, tmp_path):
     moved, count = merge([*one, *two], tmp_path / "m.mcap")
     assert [shift.by for shift in moved] == ["messages", "UTC"]
     assert count > 1000
+
+
+def test_where_strangers_are_is_recorded_with_each_scan_and_digested_bit_for_bit():
+    found = LocatedStranger(
+        101, 5.5, np.array(AWKWARD[:3]), np.array(AWKWARD[1:4]), np.eye(6) / 3, (1, 2), "UAS-1"
+    )
+    without = ScanReport(7, TrackList(5.5, 5.5, ()))
+    assert b"stranger" not in outputs.encode_report(without)
+    read = outputs.decode_report(outputs.encode_report(without._replace(strangers=(found,))))
+    (one,) = read.report.strangers
+    assert bits(one) == bits(found)
+    assert read.strangers_digest == outputs.strangers_digest((found,)) == outputs.strangers_digest((one,))
+    nudged = replace(found, position=np.nextafter(found.position, np.inf))
+    assert outputs.strangers_digest((nudged,)) != read.strangers_digest

@@ -237,11 +237,11 @@ def test_mutual_sightings_make_the_place_surer():
                     if j != i
                 )
                 at = team.world.camera[i - 1]
-                report = SightingReport(i, "0" * 8, k, 0.5 * k, 0.0, at, 0.1, IDS, seen if calibrated else ())
+                report = SightingReport(i, "0" * 8, k, 1.0 * k, 0.0, at, 0.1, IDS, seen if calibrated else ())
                 for drone in team.drones.values():
                     drone.hear_sightings(report)
-        team.t = 2.5
-        team.fly(3.0)
+        team.t = 5.0
+        team.fly(5.0)
         return np.sqrt(np.trace(team.located()[1][101].cov[:3, :3]))
 
     assert spread(True) < 0.8 * spread(False)

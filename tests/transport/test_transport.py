@@ -712,7 +712,7 @@ async def test_only_what_is_repeated_is_published(start: Start) -> None:
     agent.transport.publish(Kind.TRACKS, b"tracks")
     agent.transport.publish(Kind.HEALTH, b"health")
     assert agent.counter("tracks_sent") == agent.counter("health_sent") == 1
-    with pytest.raises(ValueError, match="expected one of identities, motion, tracks, health"):
+    with pytest.raises(ValueError, match="expected one of identities, motion, stranger, tracks, health"):
         agent.transport.publish(Kind.POSE, b"pose")
 
 
