@@ -8,25 +8,20 @@ matrix for each hypothesis.
 from __future__ import annotations
 
 from functools import cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.listed_matchings import MatchedOfEach, listed
 from swarmtrack.tracking.marginals import independent_blocks, matched
 from swarmtrack.tracking.priors import MARGINALS_LARGEST_EXPONENT, MARGINALS_OF_EACH_MOST_ROWS
 
 
-class MatchedOfEach(NamedTuple):
-    """probability (c, n, m) of each pair, and the logarithm (c,) of the weight of all matchings."""
-
-    probability: Array
-    log_total: Array
-
-
 def matched_of_each(log_ratio: Array) -> MatchedOfEach:
     """log_ratio (c, n, m): log r of n rows and m columns by each of c hypotheses; −inf forbids a pair."""
+    if log_ratio.size and (every := listed(*log_ratio.shape[1:])):
+        return every.matched(log_ratio)
     found = MatchedOfEach(np.zeros(log_ratio.shape), np.zeros(len(log_ratio)))
     allowed = np.any(log_ratio > -np.inf, axis=0)
     for rows, columns in independent_blocks(allowed, range(len(allowed))):
@@ -39,6 +34,8 @@ def matched_of_each(log_ratio: Array) -> MatchedOfEach:
 
 def _of_block(log_ratio: Array) -> MatchedOfEach:
     _, n, m = log_ratio.shape
+    if every := listed(n, m):
+        return every.matched(log_ratio)
     if n > m:
         probability, log_total = _of_block(log_ratio.swapaxes(1, 2))
         return MatchedOfEach(probability.swapaxes(1, 2), log_total)

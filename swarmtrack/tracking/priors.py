@@ -162,6 +162,8 @@ MATCHINGS_ROUNDING = 1e-9
 
 # Marginals of matchings (`marginals`): rows open at once, 8192 sets, some milliseconds.
 MARGINALS_MOST_OPEN_ROWS = 13
+# Matchings up to which all are listed, 4 x 5 and 3 x 8: beyond, sweeping is cheaper.
+MARGINALS_MOST_LISTED = 550
 # Columns up to which all is swept as it comes, and up to which an order is not worth its time.
 MARGINALS_SMALL, MARGINALS_UNORDERED = 9, 12
 # Of a product of one ratio for each open row: a double ends at 709. And e to the second: nothing is more certain.
