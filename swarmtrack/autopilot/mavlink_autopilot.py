@@ -473,7 +473,7 @@ class MavlinkAutopilot:
             return frame.id == HEARTBEAT or (
                 frame.id in self._readers and contact.expected_system in (None, frame.system)
             )
-        if (frame.system, frame.component) == contact.address:
+        if contact.is_of_ours(frame):
             return frame.id in self._readers
         # Of others, whether they are autopilots; but with a key, what they say is not for us to verify.
         return frame.id == HEARTBEAT and not self._codec.has_key
@@ -481,8 +481,7 @@ class MavlinkAutopilot:
     def _on_frame(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
         """Take a frame once the autopilot is known; message: what it decodes to, None where it was refused."""
         contact = self._contact
-        address = AutopilotAddress(frame.system, frame.component)
-        if address != contact.address:
+        if not contact.is_of_ours(frame):
             contact.foreign += 1
             self._note_source(t, frame, message)
             return False

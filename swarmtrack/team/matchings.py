@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.priors import LOG_RATIO_LEAST, LOG_RATIO_MOST, LOG_SLEEPS
-from swarmtrack.tracking.marginals_of_each import MatchedOfEach, matched_of_each
+from swarmtrack.tracking.listed_matchings import MatchedOfEach
+from swarmtrack.tracking.marginals_of_each import matched_of_each
 
 
 def match_all(log_ratio: Array) -> MatchedOfEach:
