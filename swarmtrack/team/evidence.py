@@ -122,17 +122,13 @@ _TWICE = np.where(_ROW == _COLUMN, 1.0, 2.0)[:, None]
 
 
 def _squares(y: Array) -> Array:
-    """(36, pairs, k): y_iᵀ S y_j, for i ≤ j, is the sum of these times the entries of S; y (8, i, k)."""
-    left, right = y[_ROW], y[_COLUMN]
+    """(pairs, 36, k): y_iᵀ S y_j, for i ≤ j, is the sum of these times the entries of S; y (8, i, k)."""
+    left, right = y.swapaxes(0, 1)[:, _ROW], y.swapaxes(0, 1)[:, _COLUMN]
     pairs = [(i, j) for j in range(y.shape[1]) for i in range(j + 1)]
-    found = np.empty((len(_ROW), len(pairs), y.shape[2]))
+    found = np.empty((len(pairs), len(_ROW), y.shape[2]))
     for at, (i, j) in enumerate(pairs):
-        np.multiply(left[:, i], right[:, j], out=found[:, at])
-        if i == j:
-            found[:, at] *= _TWICE
-        else:
-            found[:, at] += left[:, j] * right[:, i]
-            found[:, at] *= 0.5 * _TWICE
+        square = left[i] * right[j]
+        found[at] = _TWICE * (square if i == j else 0.5 * (square + left[j] * right[i]))
     return found
 
 
@@ -168,6 +164,12 @@ def moments(found: Sequence[tuple[float, tuple[Array, Array]]]) -> tuple[Array, 
     off = np.array([mean for _, (mean, _) in found]) - mean
     spread = np.array([cov for _, (_, cov) in found]) + off[:, :, None] * off[:, None, :]
     return mean, np.einsum("i,iab->ab", w, spread)
+
+
+def log_evidence_of_nothing(used: NDArray[np.intp], *, doubting: bool) -> Array:
+    """(len(used),): what `Marginal.log_evidence` says of M = 0."""
+    p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
+    return np.where(used == 0, 0.0, math.log1p(-p_far))
 
 
 class Marginal:
@@ -226,8 +228,7 @@ class Marginal:
         columns = slice(spread, None, len(self._spreads))
         S = self._S[:, columns]
         n, c, k = *S.shape[:2], y.shape[2]
-        G = (S.reshape(-1, len(_ROW)) @ _squares(y).reshape(len(_ROW), -1)).reshape(n * c, -1, k)
-        g00, g01, g11, g02, g12, g22 = G.swapaxes(0, 1)
+        g00, g01, g11, g02, g12, g22 = S.reshape(-1, len(_ROW)) @ _squares(y)
         a11, a22 = g11 * sigma**2 + 1.0, g22 * TEAMMATE_HEADING_SIGMA_RAD**2 + 1.0
         a12 = g12 * (sigma * TEAMMATE_HEADING_SIGMA_RAD)
         b1, b2 = g01 * sigma, g02 * TEAMMATE_HEADING_SIGMA_RAD
@@ -239,8 +240,7 @@ class Marginal:
     def _of_far(self, far: Array) -> Array:
         """(n,): with the teammate's heading anywhere, and its start as stated; far (8, 2, c)."""
         S, sigma = self._S[:, 0], TEAMMATE_HEADING_CELL_SIGMA_RAD
-        G = (S @ _squares(far).reshape(len(_ROW), -1)).reshape(len(S), -1, far.shape[2])
-        g00, g01, g11 = G.swapaxes(0, 1)
+        g00, g01, g11 = S @ _squares(far)
         h = g11 * sigma**2 + 1.0
         log = -0.5 * (g00 - (g01 * sigma) ** 2 / h) - 0.5 * np.log(h)
         log += self._log_volume[:, :1] + self._log_far - math.log(far.shape[2])

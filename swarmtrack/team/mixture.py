@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array, OwnFault
-from swarmtrack.team.evidence import Marginal, Solution, TeammatePrior, moments
+from swarmtrack.team.evidence import (
+    Marginal,
+    Solution,
+    TeammatePrior,
+    log_evidence_of_nothing,
+    moments,
+)
 from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.matchings import match_all, worth_matching
 from swarmtrack.team.own_errors import ConfigFault, OwnErrors
@@ -195,12 +201,19 @@ class JointMixture:
     ) -> Array:
         """(k,): what is known of one teammate says of the components used; its log ratios go into column c of `each`,
         by segment of each track."""
-        cases = [found.of(mate.column) for found in told]
-        new = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _, _ in cases)])
-        E = self._evidence(mate, mate.told(t) + new, used, known)
+        before = mate.told(t)
+        if before.any() or mate.p_supposed or any(found.known[mate.column] for found in told):
+            cases = [found.of(mate.column) for found in told]
+            new = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _, _ in cases)])
+            E = self._evidence(mate, before + new, used, known)
+        else:
+            # Out of view, as most of a large team.
+            cases, E = [], log_evidence_of_nothing(used, doubting=mate.doubting)[None]
         log_w = E[0] - E[0].max()
         if mate.doubting:
             log_w = log_w + math.log(DOUBTING_PADS_RATIO) * self.errors.permuted(mate.drone_id)[used]
+        if not cases:
+            return np.asarray(log_w)
         E = E - E[0]
         other = E
         if mate.p_supposed:
