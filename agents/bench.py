@@ -96,6 +96,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.rotating_observer",
         "benefit of the gyro for a turning observer",
     ),
+    "scale": (
+        "swarmtrack.benchmarks.scale",
+        "what a scan costs in teams of 3 to 100, by rooms, and their names",
+    ),
     "scenery": (
         "swarmtrack.benchmarks.scenery",
         "false detections among houses, poles and trees, in rendered flights",
