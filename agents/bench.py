@@ -96,6 +96,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.rotating_observer",
         "benefit of the gyro for a turning observer",
     ),
+    "scale": (
+        "swarmtrack.benchmarks.scale",
+        "what a scan costs in teams of 3 to 100, by rooms, and their names",
+    ),
     "strangers": (
         "swarmtrack.benchmarks.strangers",
         "where a team finds strangers, and what it makes of claims by Remote ID",

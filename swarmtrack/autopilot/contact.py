@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidates
 from swarmtrack.autopilot.datagrams import Address
+from swarmtrack.autopilot.framer import MavlinkFrame
 from swarmtrack.autopilot.limits import LINK_NEWS_PERIOD_S
 
 log = logging.getLogger(__package__)
@@ -63,6 +64,10 @@ class Contact:
     def address(self) -> AutopilotAddress:
         """Our autopilot's, once it is chosen."""
         return AutopilotAddress(self.system or 0, self.component)
+
+    def is_of_ours(self, frame: MavlinkFrame) -> bool:
+        """Whether it came from our autopilot, once that is chosen."""
+        return frame.system == self.system and frame.component == self.component
 
 
 class RepeatLimiter:

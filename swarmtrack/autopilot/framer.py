@@ -84,6 +84,8 @@ class Framer:
 
     def feed(self, data: bytes) -> list[MavlinkFrame]:
         """Take the next bytes of a stream; return the frames that are complete. Holds back at most 280 bytes."""
+        if not (self._buffer or self._claims) and (frame := self._whole(data)) is not None:
+            return [frame]
         self._buffer += data
         return self._scan(final=False)
 
@@ -177,6 +179,19 @@ class Framer:
                 self._settle(size, confirmed=self._explained == size)
         self._cut(position)
         return frames
+
+    def _whole(self, data: bytes) -> MavlinkFrame | None:
+        """The frame that these bytes are, no less and no more: as most datagrams are. Nothing is pending."""
+        size = len(data)
+        if size <= HEADER_V2 or data[0] != V2 or size != HEADER_V2 + data[1] + CRC_LENGTH or data[2]:
+            return None
+        message_id = data[7] | data[8] << 8 | data[9] << 16
+        extra = CRC_EXTRA_OF_MESSAGE.get(message_id)
+        if extra is None or _crc(data[1:-CRC_LENGTH] + extra) != data[-2] | data[-1] << 8:
+            return None
+        self.good += 1
+        self.good_bytes += size
+        return MavlinkFrame(message_id, data[5], data[6], data[4], signed=False, data=data)
 
     def _accept(self, start: int, end: int, message_id: int, signed: bool) -> MavlinkFrame:
         """Count the frame that stands between these offsets into the buffer, and what is in front of it."""

@@ -483,7 +483,7 @@ class MavlinkAutopilot:
             return frame.id == HEARTBEAT or (
                 frame.id in self._readers and contact.expected_system in (None, frame.system)
             )
-        if (frame.system, frame.component) == contact.address:
+        if contact.is_of_ours(frame):
             return frame.id in self._readers
         # Of others, whether they are autopilots, and what a receiver of Remote ID aboard hears; but with a key, what
         # they say is not for us to verify.
@@ -497,8 +497,7 @@ class MavlinkAutopilot:
     def _on_frame(self, t: float, frame: MavlinkFrame, message: Any | None) -> bool:
         """Take a frame once the autopilot is known; message: what it decodes to, None where it was refused."""
         contact = self._contact
-        address = AutopilotAddress(frame.system, frame.component)
-        if address != contact.address:
+        if not contact.is_of_ours(frame):
             contact.foreign += 1
             self._note_source(t, frame, message)
             if message is not None and self._is_of_receiver(frame):

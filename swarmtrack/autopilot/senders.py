@@ -203,6 +203,8 @@ class NumberedStamps:
 
     def holds(self, stamp: float, number: int) -> bool:
         """Whether a frame of that number and stamp [s] was lost between two of these."""
+        if stamp >= self.newest:
+            return False
         at = bisect_left(self._stamps, stamp)
         if not 0 < at < len(self._stamps):
             return False

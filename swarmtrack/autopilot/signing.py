@@ -17,6 +17,7 @@ from typing import Any
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.framer import MavlinkFrame
+from swarmtrack.autopilot.rapid_messages import RAPID, read_rapidly
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 
@@ -111,6 +112,11 @@ class Codec:
         if self._key is not None and not frame.signed:
             self.unsigned += 1
             return None
+        if frame.id in RAPID:
+            is_ours = self._key is None or self._check_signature(
+                bytearray(frame.data), frame.system, frame.component
+            )
+            return read_rapidly(frame) if is_ours else None
         try:
             return self._mav.decode(bytearray(frame.data))
         except common.MAVError:

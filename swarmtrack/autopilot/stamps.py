@@ -103,8 +103,11 @@ class AutopilotStamps:
     def _fits(self, t: float, message_id: int, stamp: float, number: int) -> bool:
         """Whether a frame fits among those that came before: the first way had lost it. Later a new boot's stamps are
         those of the last one again, so there some fit by chance."""
-        boots = [self._numbers, *([self._numbers_before] if t - self._began_at < LATEST_WAY_S else [])]
-        return any(numbers[message_id].holds(stamp, number) for numbers in boots if message_id in numbers)
+        numbers = self._numbers.get(message_id)
+        if numbers is not None and numbers.holds(stamp, number):
+            return True
+        before = self._numbers_before.get(message_id) if t - self._began_at < LATEST_WAY_S else None
+        return before is not None and before.holds(stamp, number)
 
     def _is_early(self, t: float, raw: float, wrap_s: float) -> bool:
         """Whether a kind of message that was not there before is of another boot: an autopilot sends what it always

@@ -13,13 +13,13 @@ so such a stream is asked for once at double, and stays so where that helps.
 from __future__ import annotations
 
 import enum
+import math
 import statistics
 from collections import Counter, deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.autopilot.boot_clock import MICROSECONDS_WRAP_S, MILLISECONDS_WRAP_S
@@ -45,9 +45,9 @@ from swarmtrack.autopilot.limits import (
 from swarmtrack.autopilot.pilot_switch import RC_CHANNELS
 from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.mavlink_dialect import CURRENT_MODE
-from swarmtrack.messages import Array
 
-NOT_MEASURED = np.full(3, np.nan)
+Triple = tuple[float, float, float]
+NOT_MEASURED: Triple = (math.nan, math.nan, math.nan)
 HIGHRES_IMU: int = common.MAVLINK_MSG_ID_HIGHRES_IMU
 RAW_IMU: int = common.MAVLINK_MSG_ID_RAW_IMU
 SCALED_IMU: int = common.MAVLINK_MSG_ID_SCALED_IMU
@@ -82,31 +82,31 @@ class ImuMessage:
     """A message that carries the body's angular velocity.
 
     stamp: s since boot of a message; wrap_s: after which that begins again where it is counted in 32 bits; read: its
-    gyro (3,) rad/s and accel (3,) m/s², FRD, as sent; numbered: has a field `id` for the sensor, 0 the first; asked:
+    gyro rad/s and accel m/s², FRD, as sent; numbered: has a field `id` for the sensor, 0 the first; asked:
     requested, not only read where it comes.
     """
 
     id: int
     name: str
     stamp: Callable[[Any], float]
-    read: Callable[[Any], tuple[Array, Array]]
+    read: Callable[[Any], tuple[Triple, Triple]]
     wrap_s: float
     numbered: bool = False
     asked: bool = True
 
 
-def _read_highres(m: Any) -> tuple[Array, Array]:
-    return np.array((m.xgyro, m.ygyro, m.zgyro)), np.array((m.xacc, m.yacc, m.zacc))
+def _read_highres(m: Any) -> tuple[Triple, Triple]:
+    return (m.xgyro, m.ygyro, m.zgyro), (m.xacc, m.yacc, m.zacc)
 
 
-def _read_milli(m: Any) -> tuple[Array, Array]:
+def _read_milli(m: Any) -> tuple[Triple, Triple]:
     # RAW_IMU is not raw: both autopilots send calibrated mrad/s and mG.
-    gyro = np.array((m.xgyro, m.ygyro, m.zgyro)) * 1e-3
-    return gyro, np.array((m.xacc, m.yacc, m.zacc)) * (STANDARD_GRAVITY_M_S2 * 1e-3)
+    g = STANDARD_GRAVITY_M_S2 * 1e-3
+    return (m.xgyro * 1e-3, m.ygyro * 1e-3, m.zgyro * 1e-3), (m.xacc * g, m.yacc * g, m.zacc * g)
 
 
-def _read_rates(m: Any) -> tuple[Array, Array]:
-    return np.array((m.rollspeed, m.pitchspeed, m.yawspeed)), NOT_MEASURED
+def _read_rates(m: Any) -> tuple[Triple, Triple]:
+    return (m.rollspeed, m.pitchspeed, m.yawspeed), NOT_MEASURED
 
 
 def _microseconds(m: Any) -> float:

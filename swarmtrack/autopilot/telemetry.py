@@ -305,8 +305,11 @@ class Telemetry:
         rank = RANKS[m.get_msgId()]
         source = IMU_MESSAGES[rank]
         gyro, accel = source.read(m)
-        # Of three numbers Python asks each faster than NumPy asks all. NaN fails this too.
-        is_possible = all(abs(rate) < FASTEST_GYRO_RAD_S for rate in gyro.tolist())
+        # NaN fails this too.
+        x, y, z = gyro
+        is_possible = (
+            abs(x) < FASTEST_GYRO_RAD_S and abs(y) < FASTEST_GYRO_RAD_S and abs(z) < FASTEST_GYRO_RAD_S
+        )
         if not is_possible and source is self._requests.imu:
             self._requests.useless(source.id)
         if step is None and rank == self._imu.rank and stamp == self.cadence.newest:
@@ -341,8 +344,8 @@ class Telemetry:
             return
         self._imu_t = ours
         self.gyro.used += 1
-        accel = accel if all(map(math.isfinite, accel.tolist())) else NOT_MEASURED
-        self.listener.on_imu(ImuSample(ours, gyro, accel, delay))
+        accel = accel if all(map(math.isfinite, accel)) else NOT_MEASURED
+        self.listener.on_imu(ImuSample(ours, np.array(gyro), np.array(accel), delay))
 
     def _is_whole(self, t: float) -> bool:
         """Whether no number of a frame is missing since the last sample. Across a longer gap they may have begun again,

@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.own_errors import OwnErrors, PathTurn
 from swarmtrack.team.priors import (
     BEARINGS_LAST_S,
@@ -115,6 +116,22 @@ class TeammatePrior:
         return cls(*(np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (y, far)))
 
 
+# Of a symmetric (8, 8), the entries on and above the diagonal; and which of them stand twice in it.
+_ROW, _COLUMN = np.triu_indices(8)
+_TWICE = np.where(_ROW == _COLUMN, 1.0, 2.0)[:, None]
+
+
+def _squares(y: Array) -> Array:
+    """(pairs, 36, k): y_iᵀ S y_j, for i ≤ j, is the sum of these times the entries of S; y (8, i, k)."""
+    left, right = y.swapaxes(0, 1)[:, _ROW], y.swapaxes(0, 1)[:, _COLUMN]
+    pairs = [(i, j) for j in range(y.shape[1]) for i in range(j + 1)]
+    found = np.empty((len(pairs), len(_ROW), y.shape[2]))
+    for at, (i, j) in enumerate(pairs):
+        square = left[i] * right[j]
+        found[at] = _TWICE * (square if i == j else 0.5 * (square + left[j] * right[i]))
+    return found
+
+
 class Solution(NamedTuple):
     """One Gaussian of z = z0 + L (ε, δ, q): mean x (5,) and covariance cov (5, 5) of these; log_share among those of
     its component."""
@@ -149,6 +166,12 @@ def moments(found: Sequence[tuple[float, tuple[Array, Array]]]) -> tuple[Array, 
     return mean, np.einsum("i,iab->ab", w, spread)
 
 
+def log_evidence_of_nothing(used: NDArray[np.intp], *, doubting: bool) -> Array:
+    """(len(used),): what `Marginal.log_evidence` says of M = 0."""
+    p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
+    return np.where(used == 0, 0.0, math.log1p(-p_far))
+
+
 class Marginal:
     """Matrices M (n, 8, 8) of pairs with one teammate, with q integrated out for each spread of starts.
 
@@ -176,7 +199,8 @@ class Marginal:
         S[..., LEVEL:, :LEVEL] = S[..., :LEVEL, LEVEL:].swapaxes(-1, -2)
         S[..., LEVEL:, LEVEL:] = P - P @ A_inv @ P
         self._P = P
-        self._S = S
+        # Only what differs: S is symmetric.
+        self._S = S[..., _ROW, _COLUMN]
         self._log_volume = 0.5 * (np.linalg.slogdet(P)[1] - np.linalg.slogdet(A)[1])
         self._spreads = spreads
 
@@ -193,7 +217,7 @@ class Marginal:
             here = np.flatnonzero(spread == s)
             each = self._of(s, prior.y[:, :, used[here]], sigma[here])
             each += self._log_shares[loose[here]].T
-            found[:, here] = np.logaddexp.reduce(each, axis=1)
+            found[:, here] = log_sum(each, 1)
         first = np.flatnonzero(used == 0)
         if first.size:
             found[:, first[0]] = np.logaddexp(found[:, first[0]], self._of_far(prior.far))
@@ -204,10 +228,7 @@ class Marginal:
         columns = slice(spread, None, len(self._spreads))
         S = self._S[:, columns]
         n, c, k = *S.shape[:2], y.shape[2]
-        SY = (S.reshape(-1, 8) @ y.reshape(8, -1)).reshape(n * c, 8, 3, k)
-        g00, g01, g02 = (np.einsum("ak,nak->nk", y[:, a], SY[:, :, 0]) for a in range(3))
-        g11, g12 = (np.einsum("ak,nak->nk", y[:, a], SY[:, :, 1]) for a in (1, 2))
-        g22 = np.einsum("ak,nak->nk", y[:, 2], SY[:, :, 2])
+        g00, g01, g11, g02, g12, g22 = S.reshape(-1, len(_ROW)) @ _squares(y)
         a11, a22 = g11 * sigma**2 + 1.0, g22 * TEAMMATE_HEADING_SIGMA_RAD**2 + 1.0
         a12 = g12 * (sigma * TEAMMATE_HEADING_SIGMA_RAD)
         b1, b2 = g01 * sigma, g02 * TEAMMATE_HEADING_SIGMA_RAD
@@ -219,12 +240,11 @@ class Marginal:
     def _of_far(self, far: Array) -> Array:
         """(n,): with the teammate's heading anywhere, and its start as stated; far (8, 2, c)."""
         S, sigma = self._S[:, 0], TEAMMATE_HEADING_CELL_SIGMA_RAD
-        SY = (S.reshape(-1, 8) @ far.reshape(8, -1)).reshape(len(S), 8, 2, -1)
-        g00, g01 = (np.einsum("ac,nac->nc", far[:, a], SY[:, :, 0]) for a in range(2))
-        h = np.einsum("ac,nac->nc", far[:, 1], SY[:, :, 1]) * sigma**2 + 1.0
+        g00, g01, g11 = S @ _squares(far)
+        h = g11 * sigma**2 + 1.0
         log = -0.5 * (g00 - (g01 * sigma) ** 2 / h) - 0.5 * np.log(h)
         log += self._log_volume[:, :1] + self._log_far - math.log(far.shape[2])
-        return np.asarray(np.logaddexp.reduce(log, axis=1))
+        return log_sum(log, 1)
 
     def solutions(
         self,

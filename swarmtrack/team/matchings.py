@@ -6,8 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.priors import LOG_RATIO_LEAST, LOG_RATIO_MOST, LOG_SLEEPS
-from swarmtrack.tracking.marginals_of_each import MatchedOfEach, matched_of_each
+from swarmtrack.tracking.listed_matchings import MatchedOfEach
+from swarmtrack.tracking.marginals_of_each import matched_of_each
 
 
 def match_all(log_ratio: Array) -> MatchedOfEach:
@@ -28,8 +30,8 @@ def worth_matching(R: Array, log_w: Array) -> NDArray[np.intp]:
     """The components that may have weight, by bounds; R (k, n, m) log ratios, log_w (k,) log weights without them."""
     if not R.size:
         return np.flatnonzero(log_w > log_w.max() + LOG_SLEEPS)
-    by_row = np.logaddexp(0.0, np.logaddexp.reduce(R, axis=2)).sum(axis=1)
-    by_column = np.logaddexp(0.0, np.logaddexp.reduce(R, axis=1)).sum(axis=1)
+    by_row = np.logaddexp(0.0, log_sum(R, 2)).sum(axis=1)
+    by_column = np.logaddexp(0.0, log_sum(R, 1)).sum(axis=1)
     upper = log_w + np.minimum(by_row, by_column)
     left, lower, k = R.copy(), log_w.copy(), np.arange(len(R))
     for _ in range(min(R.shape[1:])):

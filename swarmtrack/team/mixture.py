@@ -17,7 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array, OwnFault
-from swarmtrack.team.evidence import Marginal, Solution, TeammatePrior, moments
+from swarmtrack.team.evidence import (
+    Marginal,
+    Solution,
+    TeammatePrior,
+    log_evidence_of_nothing,
+    moments,
+)
+from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.matchings import match_all, worth_matching
 from swarmtrack.team.own_errors import ConfigFault, OwnErrors
 from swarmtrack.team.pasts import any_or_none, each_past_once, log_ratios, pasts_from_now
@@ -74,7 +81,7 @@ class JointMixture:
         self._log_weight = np.zeros(len(self.errors))
         self._p_heading_off = np.zeros(len(self.errors))
         self._part = 0
-        self.is_settled = False
+        self.is_settled = self._is_right = False
 
     @property
     def log_seen(self) -> float:
@@ -139,14 +146,13 @@ class JointMixture:
         ratio = ratio.reshape(len(tracks), len(used), len(mates))
         log_w = log_w + sum(nobody, np.zeros(len(used)))
         once = each_past_once(ratio, nobody, pasts, each)
-        kept, P = self._match(once.swapaxes(0, 1), log_w, used)
+        kept, P = self._match(once.swapaxes(0, 1), log_w, used, off)
         for track, p in zip(tracks, P, strict=True):
             if p.max(initial=0.0) > P_HELD:
                 track.held = mates[int(p.argmax())].drone_id
-        self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
         self._p_heading_off = off
         for track, b, e, none, r in zip(tracks, base, each, nobody, ratio, strict=True):
-            whole = none + np.logaddexp(0.0, np.logaddexp.reduce(r, axis=1))
+            whole = none + np.logaddexp(0.0, log_sum(r, 1))
             track.learn(whole, used, len(self.errors))
             alone = b + any_or_none(e) - whole
             track.weigh_segments(np.exp(np.minimum(alone[:, kept], 0.0)) @ self.weight[used[kept]])
@@ -195,12 +201,19 @@ class JointMixture:
     ) -> Array:
         """(k,): what is known of one teammate says of the components used; its log ratios go into column c of `each`,
         by segment of each track."""
-        cases = [found.of(mate.column) for found in told]
-        new = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _, _ in cases)])
-        E = self._evidence(mate, mate.told(t) + new, used, known)
+        before = mate.told(t)
+        if before.any() or mate.p_supposed or any(found.known[mate.column] for found in told):
+            cases = [found.of(mate.column) for found in told]
+            new = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _, _ in cases)])
+            E = self._evidence(mate, before + new, used, known)
+        else:
+            # Out of view, as most of a large team.
+            cases, E = [], log_evidence_of_nothing(used, doubting=mate.doubting)[None]
         log_w = E[0] - E[0].max()
         if mate.doubting:
             log_w = log_w + math.log(DOUBTING_PADS_RATIO) * self.errors.permuted(mate.drone_id)[used]
+        if not cases:
+            return np.asarray(log_w)
         E = E - E[0]
         other = E
         if mate.p_supposed:
@@ -221,7 +234,7 @@ class JointMixture:
                 # Whoever takes over a track may be any of the team.
                 log[whole:] -= math.log(len(self._priors))
                 if whole > 1:
-                    log = np.concatenate([np.logaddexp.reduce(log[:whole], axis=0)[None], log[whole:]])
+                    log = np.concatenate([log_sum(log[:whole], 0)[None], log[whole:]])
                 into[:, :, c] = log
             at += len(M)
         return np.asarray(log_w)
@@ -266,7 +279,7 @@ class JointMixture:
 
     def _awake(self) -> NDArray[np.intp]:
         """The components to work out now: those with weight, and a part of the sleepers."""
-        parts = 1 if self.is_settled else SLEEPERS_PARTS_DOUBTFUL
+        parts = 1 if self.is_settled or self._is_right else SLEEPERS_PARTS_DOUBTFUL
         looked_at = (self.errors.part - self._part) % SLEEPERS_PARTS < parts
         self._part = (self._part + parts) % SLEEPERS_PARTS
         awake = (self._log_weight > LOG_SLEEPS) | looked_at
@@ -274,10 +287,11 @@ class JointMixture:
         return np.flatnonzero(awake)
 
     def _match(
-        self, log_ratio: Array, log_w: Array, used: NDArray[np.intp]
+        self, log_ratio: Array, log_w: Array, used: NDArray[np.intp], off: Array
     ) -> tuple[NDArray[np.intp], Array]:
         """Match tracks and teammates by each component that may have weight, and weigh these. log_ratio (k, n, m);
-        log_w (k,) without matchings. Returns which of `used` were matched, and the probability (n, m) of each pair."""
+        log_w (k,) without matchings; off: by component of all, that the heading is off. Returns which of `used` were
+        matched, and the probability (n, m) of each pair."""
         R = np.where(log_ratio <= LOG_RATIO_LEAST, -np.inf, log_ratio)
         kept = worth_matching(R, log_w)
         found = match_all(R[kept])
@@ -290,7 +304,10 @@ class JointMixture:
         P = np.tensordot(weight, found.probability, axes=1)
         none = 1.0 - P.sum(axis=1)
         sure = np.maximum(P.max(axis=1, initial=0.0), none) > P_SETTLED
+        self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
         self.is_settled = bool(weight.max() > P_SETTLED and sure.all())
+        # That this drone is as it says; whether two that are not in view have mixed up their pads, no track can say.
+        self._is_right = bool(1.0 - self.p_fault > P_SETTLED and sure.all())
         return kept, P
 
     def by_motion(
@@ -309,7 +326,7 @@ class JointMixture:
             for i, (track, (_, weight)) in enumerate(zip(tracks, cases, strict=True)):
                 end = at + len(weight)
                 if track.compared[mate.column]:
-                    R[:, i, c] = np.logaddexp.reduce(E[at:end] - E[0] + weight[:, None], axis=0)
+                    R[:, i, c] = log_sum(E[at:end] - E[0] + weight[:, None], 0)
                 at = end
         w = self.weight[used] / float(self.weight[used].sum())
         return np.asarray(np.tensordot(w, match_all(R + self.log_seen + LOG_ANYWHERE).probability, axes=1))

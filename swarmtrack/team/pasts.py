@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.matchings import log_total
 
 COLUMN_OF_NOBODY = -1
@@ -44,10 +45,9 @@ class Past(NamedTuple):
 def log_ratios(base: Sequence[Array], each: Sequence[Array]) -> tuple[list[Array], Array]:
     """base (s, k), each (s, k, m): by track, log evidence before each segment, and of it. Returns by track the log
     evidence (k,) if it is no teammate now; and of each track and teammate the log ratio (n, k, m) to that."""
-    nobody = [np.logaddexp.reduce(b, axis=0) for b in base]
+    nobody = [log_sum(b, 0) for b in base]
     ratio = [
-        np.logaddexp.reduce(b[:, :, None] + e, axis=0) - none[:, None]
-        for b, e, none in zip(base, each, nobody, strict=True)
+        log_sum(b[:, :, None] + e, 0) - none[:, None] for b, e, none in zip(base, each, nobody, strict=True)
     ]
     return nobody, np.array(ratio)
 
@@ -70,14 +70,14 @@ def pasts_from_now(waiting: Collection[int], pasts: Sequence[Past], each: Sequen
         others = log_total(ratio[left])
         log, total = nobody[i] + total - others, others
         column = ratio[i].argmax(axis=1)
-        other = np.logaddexp.reduce(before[i].without(column) + _anybody_but(column, of[i]), axis=0)
+        other = log_sum(before[i].without(column) + _anybody_but(column, of[i]), 0)
         found[i] = Past(log, column, np.minimum(other, log))
     return found
 
 
 def any_or_none(each: Array) -> Array:
     """Log ratio (s, k) of each segment: any teammate, or none, to none. each (s, k, m)."""
-    return np.asarray(np.logaddexp(0.0, np.logaddexp.reduce(each, axis=2, initial=-np.inf)))
+    return np.asarray(np.logaddexp(0.0, log_sum(each, 2)))
 
 
 def _anybody_but(column: int | NDArray[np.intp], each: Array) -> Array:
@@ -101,13 +101,13 @@ def each_past_once(
     for i, (past, e) in enumerate(zip(pasts, each, strict=True)):
         for c in np.unique(past.column[past.column != COLUMN_OF_NOBODY]).tolist():
             now = _anybody_but(c, e)
-            lost = np.logaddexp.reduce(past.without(c) + now, axis=0)
-            lost -= np.logaddexp.reduce(past.log + now, axis=0)
+            lost = log_sum(past.without(c) + now, 0)
+            lost -= log_sum(past.log + now, 0)
             more[:, :, c] += lost
             more[i, :, c] -= lost
     once = ratio.copy()
     for h, c in np.argwhere(more.min(axis=1, initial=0.0) < 0.0).tolist():
         claims = pasts[h].log + each[h][:, :, c] - none[h]
-        late = np.logaddexp.reduce(claims[1:], axis=0, initial=-np.inf)
+        late = log_sum(claims[1:], 0)
         once[h, :, c] = np.logaddexp(claims[0] + more[h, :, c], late)
     return once

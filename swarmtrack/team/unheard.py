@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.evidence import fading
+from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.priors import P_MOVES_ALIKE
 
 
@@ -55,8 +56,8 @@ class UnheardTrack:
         self._held_back *= left
         self._before *= left
         whole = [s for s, begun in enumerate(since) if begun <= self.since]
-        nobody = np.logaddexp.reduce(base[whole], axis=0)
-        ratio = np.logaddexp.reduce(base[whole][:, :, None] + each[whole], axis=0) - nobody[:, None]
+        nobody = log_sum(base[whole], 0)
+        ratio = log_sum(base[whole][:, :, None] + each[whole], 0) - nobody[:, None]
         ratio = ratio + self._held_back
         if self._is_new:
             self._before[used], self._is_new = np.maximum(ratio, 0.0), False

@@ -55,16 +55,15 @@ def innovations(mean: Array, cov: Array, z: Array, R: Array) -> Innovations:
 def update(mean: Array, cov: Array, z: Array, R: Array) -> tuple[Array, Array]:
     """Fold measurement z (k, 2) with R (k, 2, 2) into track k of mean (k, 4), cov (k, 4, 4).
 
-    Joseph form: stays symmetric and positive when R is tiny, which (I − KH)P does not.
+    Joseph form, (I − K H) P (I − K H)ᵀ + K R Kᵀ: stays symmetric and positive when R is tiny, which (I − K H) P does
+    not. H, two rows of the identity, makes it two products of rank two: B = P − K H P, then B + (K R − B Hᵀ) Kᵀ.
     Bar-Shalom, Li & Kirubarajan (2001), section 5.2.
     """
     PHt = cov[:, :, POSITION]
-    S = PHt[:, POSITION] + R
-    K = PHt @ inverse(S)
-    A = np.zeros_like(cov) + IDENTITY
-    A[:, :, POSITION] -= K
+    K = PHt @ inverse(PHt[:, POSITION] + R)
     corrected = mean + (K @ (z - mean[:, POSITION])[:, :, None])[:, :, 0]
-    P = A @ cov @ A.swapaxes(1, 2) + K @ R @ K.swapaxes(1, 2)
+    B = cov - K @ cov[:, POSITION]
+    P = B + (K @ R - B[:, :, POSITION]) @ K.swapaxes(1, 2)
     return corrected, 0.5 * (P + P.swapaxes(1, 2))
 
 

@@ -19,7 +19,7 @@ from swarmtrack.tracking.base import Explained
 from swarmtrack.tracking.consistency import sure_pairs
 from swarmtrack.tracking.gaussian import update
 from swarmtrack.tracking.gaussian_tracks import GaussianTracks
-from swarmtrack.tracking.noise import pairs_of
+from swarmtrack.tracking.noise import Rows, pairs_of
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.sensor_model import Measurements
 
@@ -54,12 +54,14 @@ class Kalman(GaussianTracks):
         pairs = pairs_of(table.id, (table.mean, table.cov), (measured.z, measured.R), sure)
         with np.errstate(divide="ignore"):
             odds_of_detection = np.log(p_detection / (1.0 - p_detection))
-        rows, columns = self._match(log_ratio + odds_of_detection[:, None])
+        rows, columns = self._match(log_ratio + odds_of_detection[:, None], sure)
 
         likelihood = 1.0 - p_detection
         likelihood[rows] += p_detection[rows] * np.exp(log_ratio[rows, columns])
         table.existence = lifecycle.reweigh(table.existence, likelihood)
-        table.mean[rows], table.cov[rows] = update(table.mean[rows], table.cov[rows], z[columns], R[columns])
+        table.mean[rows], table.cov[rows] = update(
+            table.mean.take(rows, axis=0), table.cov.take(rows, axis=0), z[columns], R[columns]
+        )
         self._population.learn_looks(t, rows, measured.select(columns))
         seen, taken = np.zeros(len(table), np.bool_), np.zeros(len(z), np.bool_)
         seen[rows], taken[columns] = True, True
@@ -69,9 +71,16 @@ class Kalman(GaussianTracks):
             taken |= self._population.shadowed(t, measured, seen)
         return taken, Explained(pairs, clutter)
 
-    def _match(self, log_ratio: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Confirmed tracks choose first, weighed by their existence; tentative ones share what is left."""
+    def _match(self, log_ratio: Array, alone: Rows) -> Rows:
+        """Confirmed tracks choose first, weighed by their existence; tentative ones share what is left. alone: rows and
+        columns that are alone in each other's gates, before the choice."""
         confirmed = self.table.confirmed
+        n, m = log_ratio.shape
+        if len(alone[0]) == n == m and confirmed.all():
+            # Each can only take its own.
+            gain = log_ratio[alone] + np.log(self.table.existence)
+            if gain.min(initial=1.0) > 0.0:
+                return alone
         sure, free = np.flatnonzero(confirmed), np.flatnonzero(~confirmed)
         rows, columns = most_likely_matching(log_ratio[sure] + np.log(self.table.existence[sure])[:, None])
         if not len(free):

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from itertools import combinations
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Array
+from swarmtrack.tracking.gaussian import variances
 from swarmtrack.tracking.motion_model import Turn, add_flow_of_error, turn_exactly
 from swarmtrack.tracking.noise import SurePairs, whitened
 from swarmtrack.tracking.priors import MANOEUVRE_LEAST_MODE, MANOEUVRE_SHORT_STEP
@@ -87,6 +88,12 @@ class Manoeuvres:
         return self.acceleration_variance * self.scales[[0, *range(len(self.levels))]]
 
     @property
+    def gained(self) -> Array:
+        """(M, M) px²/s⁴: by how much a mode's accelerations (row) are harder than another's (column)."""
+        gained: Array = _gained(self.levels) * self.acceleration_variance
+        return gained
+
+    @property
     def psd(self) -> Array:
         """(M,) px²/s³, of each mode."""
         return np.array([self.calm_psd, *(self.agile_psd * self.scales)])
@@ -94,12 +101,36 @@ class Manoeuvres:
     @property
     def usual(self) -> Array:
         """(M,) shares of the time spent calm and at each level of agility."""
-        total = self.calm_s + self.agile_s
-        return np.array([self.calm_s, *(level.share * self.agile_s for level in self.levels)]) / total
+        return _usual(self.levels, self.calm_s, self.agile_s)
 
     def calmed(self, scale: float) -> Manoeuvres:
         """The calm model's noise times a scale. How hard drones can manoeuvre, a calm one does not tell."""
         return self if scale == 1.0 else replace(self, calm_psd=scale * self.calm_psd)
+
+
+# Asked for in each scan, and always the same.
+
+
+@cache
+def _usual(levels: tuple[AgileLevel, ...], calm_s: float, agile_s: float) -> Array:
+    usual = np.array([calm_s, *(level.share * agile_s for level in levels)]) / (calm_s + agile_s)
+    usual.setflags(write=False)
+    return usual
+
+
+@cache
+def _gained(levels: tuple[AgileLevel, ...]) -> Array:
+    scale = np.array([levels[0].scale, *(level.scale for level in levels)])
+    gained: Array = np.maximum(scale[:, None] - scale, 0.0)
+    gained.setflags(write=False)
+    return gained
+
+
+@cache
+def _same_mode(modes: int) -> Array:
+    same = np.eye(modes)
+    same.setflags(write=False)
+    return same
 
 
 class ModeMixture(NamedTuple):
@@ -216,12 +247,14 @@ def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, ModeI
     PHt = mixture.cov[:, :, :, PLACE_OF_AGILE]
     S = PHt[:, :, PLACE_OF_AGILE] + R
     determinant = S[..., 0, 0] * S[..., 1, 1] - S[..., 0, 1] ** 2
-    K = PHt @ (ADJUGATE * S[..., ::-1, ::-1] / determinant[..., None, None])
-    step = (K @ y[..., None])[..., 0]
+    S_inverse = ADJUGATE * S[..., ::-1, ::-1] / determinant[..., None, None]
+    K = PHt @ S_inverse
+    explained = S_inverse @ y[..., None]
+    step = (PHt @ explained)[..., 0]
     B = mixture.cov - K @ mixture.cov[:, :, PLACE_OF_AGILE]
     cov = B + (K @ R - B[..., PLACE_OF_AGILE]) @ K.swapaxes(2, 3)
     cov = 0.5 * (cov + cov.swapaxes(2, 3))
-    distance = _squared_length(y, S, determinant)
+    distance = (y * explained[..., 0]).sum(axis=2)
     log_likelihood = -0.5 * (distance + np.log(determinant))
     fitted = mixture.mode * np.exp(log_likelihood - log_likelihood.max(axis=1, keepdims=True))
     mode = fitted / fitted.sum(axis=1, keepdims=True)
@@ -233,29 +266,22 @@ def update(mixture: ModeMixture, z: Array, R: Array) -> tuple[ModeMixture, ModeI
     return ModeMixture(mixture.mean + step, cov, mode), fit
 
 
-def _squared_length(y: Array, S: Array, determinant: Array) -> Array:
-    """(…,) yᵀ S⁻¹ y of y (…, 2) and S (…, 2, 2), whose determinants (…,) are at hand."""
-    u, v = y[..., 0], y[..., 1]
-    across = 2.0 * S[..., 0, 1] * u * v
-    return np.asarray((S[..., 1, 1] * u * u - across + S[..., 0, 0] * v * v) / determinant)
-
-
 def _interact(mixture: ModeMixture, dt: float, manoeuvres: Manoeuvres) -> ModeMixture:
     """The modes' change within dt: what each begins with is a mix of what both ended with."""
     change = mode_changes(dt, manoeuvres)  # (M, M), from row to column
     mode, M = mixture.mode @ change, len(change)
     # (n, M, M): share of the column's in the row's new one
     share = change.T * mixture.mode[:, None] / mode[:, :, None]
-    cov = (share @ mixture.cov.reshape(-1, M, 36)).reshape(-1, M, 6, 6)
-    for i, j in combinations(range(M), 2):
-        apart = mixture.mean[:, j] - mixture.mean[:, i]
-        spread = apart[:, :, None] * apart[:, None, :]
-        cov += (share[:, :, i] * share[:, :, j])[:, :, None, None] * spread[:, None]
+    # Second moments about the calm mode's mean: modes are near each other, so hardly anything cancels.
+    about = mixture.mean[:, :1]
+    apart = mixture.mean - about
+    moments = mixture.cov + apart[..., None] * apart[:, :, None]
+    moved = share @ apart
+    cov = (share @ moments.reshape(-1, M, 36)).reshape(-1, M, 6, 6) - moved[..., None] * moved[:, :, None]
     if len(manoeuvres.levels) > 1:  # who begins a harder manoeuvre does so with its acceleration
-        variance = manoeuvres.variances
-        gained = (share * np.maximum(variance[:, None] - variance, 0.0)).sum(axis=2)
-        cov[:, :, [4, 5], [4, 5]] += gained[:, :, None]
-    return ModeMixture(share @ mixture.mean, cov, mode)
+        of_acceleration = variances(cov)[..., ACCELERATION_OF_AGILE]
+        of_acceleration += (share * manoeuvres.gained).sum(axis=2)[:, :, None]
+    return ModeMixture(about + moved, cov, mode)
 
 
 def mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
@@ -263,7 +289,7 @@ def mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
     two short steps are one long one. Who leaves a mode draws the next as often as usual."""
     usual = manoeuvres.usual
     forgotten = -math.expm1(-dt * (1.0 / manoeuvres.calm_s + 1.0 / manoeuvres.agile_s))
-    return np.asarray((1.0 - forgotten) * np.eye(len(usual)) + forgotten * usual)
+    return np.asarray((1.0 - forgotten) * _same_mode(len(usual)) + forgotten * usual)
 
 
 def transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:

@@ -16,6 +16,7 @@ which adds and multiplies what is not negative and so cancels nothing. The cost 
 of rows open at once, so columns are ordered to keep it small, and pairs that share nothing are solved apart. The two
 passes are the forward-backward recursion over the joint events of JPDA (Fortmann, Bar-Shalom & Scheffe, 1983). In a
 small cluster all rows may as well be open all the time: then both passes are the same few products of small matrices.
+The smallest have so few matchings that these are listed after all (listed_matchings.py).
 
 Where more than `MARGINALS_MOST_OPEN_ROWS` rows would be open, pairs are left out of the sweep until no more are: those
 that loopy belief propagation (Williams & Lau, "Approximate evaluation of marginal association probabilities with belief
@@ -37,6 +38,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.tracking.association import most_likely_matching
+from swarmtrack.tracking.listed_matchings import ListedMatchings, listed
 from swarmtrack.tracking.priors import (
     BELIEF_CUTS,
     BELIEF_ITERATIONS,
@@ -105,6 +107,8 @@ def matched(
     """
     if not log_ratio.size:
         return Matched(np.zeros(log_ratio.shape), 0.0)
+    if min(log_ratio.shape) <= min(widest, MARGINALS_SMALL) and (every := listed(*log_ratio.shape)):
+        return _of_one(every, log_ratio)
     allowed = log_ratio > -np.inf
     contested = allowed & (np.count_nonzero(allowed, axis=0) > 1)
     disputing = contested.any(axis=1)
@@ -117,6 +121,11 @@ def matched(
         probability[block] = found.probability
         log_total += found.log_total
     return Matched(probability, log_total)
+
+
+def _of_one(every: ListedMatchings, log_ratio: Array) -> Matched:
+    found = every.matched(log_ratio[None])
+    return Matched(found.probability[0], found.log_total.item())
 
 
 def sweep_width(log_ratio: Array) -> int:
@@ -163,7 +172,7 @@ def _of_cluster(log_ratio: Array, widest: int, beyond: Beyond | None) -> Matched
         return _transposed(_of_choices(log_ratio.T))
     fewer = min(n, m)
     if fewer <= min(widest, MARGINALS_SMALL):
-        return _swept_at_once(log_ratio)
+        return _of_one(every, log_ratio) if (every := listed(n, m)) else _swept_at_once(log_ratio)
     allowed = log_ratio > -np.inf
     by_columns, width = _sweep_order(allowed, widest)
     by_rows, width_transposed = _sweep_order(allowed.T, min(widest, width))

@@ -307,9 +307,13 @@ class Mbm(Filter):
     def update(self, t: float, measured: Measurements) -> Explained:
         self._drop(t)
         weighed = self._weigh(measured)
-        explanation = self._explain_confirmed(weighed)
-        started = self._explain_tentative(weighed, explanation.taken)
-        explained = self._go_on(t, measured, weighed, explanation, started)
+        column = self._undoubted(weighed)
+        if column is not None:
+            explained = self._go_on_settled(t, measured, weighed, column)
+        else:
+            explanation = self._explain_confirmed(weighed)
+            started = self._explain_tentative(weighed, explanation.taken)
+            explained = self._go_on(t, measured, weighed, explanation, started)
         self._drop(t)
         return explained
 
@@ -361,7 +365,7 @@ class Mbm(Filter):
         outliers = measured.outliers
         if outliers is None:
             return self._log_ratio(boxes, measured), None
-        both = np.array([measured.R, outliers.R])
+        both = np.concatenate([measured.R[None], outliers.R[None]])
         ratio, wide = self._log_ratio(boxes, measured._replace(R=both))
         wide += np.log(outliers.share)
         total = np.logaddexp(np.log1p(-outliers.share) + ratio, wide)
@@ -523,6 +527,20 @@ class Mbm(Filter):
         column[rows] = left[columns]
         return Association(leaves, column)
 
+    def _undoubted(self, weighed: Weighed) -> Indices | None:
+        """(n,) the detection of each track, where all are confirmed, each has the only one in its gate, nobody else
+        wants it, and to have made it is beyond doubt; else None. Most scans of a settled flight are so."""
+        n, m = weighed.ratio.shape
+        if self.clusters or m != n or not n or not self.table.confirmed.all():
+            return None
+        gated = weighed.ratio > -np.inf
+        if np.count_nonzero(gated) != n:
+            return None
+        column: Indices = gated.argmax(axis=1)
+        if len(set(column.tolist())) != n or weighed.gain[np.arange(n), column].min() < self._depth:
+            return None
+        return column
+
     # --- what becomes of it -------------------------------------------------------------------------
 
     def _go_on(
@@ -573,6 +591,30 @@ class Mbm(Filter):
             self._grow_leaves()
         return Explained(pairs, float(clutter))
 
+    def _go_on_settled(
+        self, t: float, measured: Measurements, weighed: Weighed, column: Indices
+    ) -> Explained:
+        """As `_go_on` where each track has made its detection: there is one leaf of each, no other explanation, and
+        nothing is left to be born."""
+        n, leaves, table = len(column), self.leaves, self.table
+        every = np.arange(n)
+        told = Association(every, column)
+        (sure,) = (leaves.existence > LONE_DETECTION_EXISTENCE).nonzero()
+        motion, size, fit = self._updated(told, leaves.motion, leaves.size, measured, weighed)
+        self.leaves = Leaves(every, motion, np.full(n, MAX_EXISTENCE), size)
+        self._show_best()
+        p_detection, ratio = weighed.visibility.p_detection, weighed.ratio[every, column]
+        likelihood = 1.0 - p_detection + p_detection * np.exp(np.minimum(ratio, LARGEST_CLAIM_LOG_RATIO))
+        table.existence = lifecycle.reweigh(table.existence, likelihood)
+        population = self._population
+        population.learn_likeness(t, slice(None), measured.likeness.take(column))
+        population.update_status(t, np.ones(n, np.bool_), weighed.visibility)
+        if self._parameters.learn_noise == "both":
+            # As `credit` says of who surely made one.
+            table.last_seen = np.full(n, t)
+        population.excuse(t, np.ones(n), weighed.visibility)
+        return Explained(fit.pairs(table.id, column, sure), 0.0)
+
     def _alone(self, weighed: Weighed) -> NDArray[np.bool_]:
         """(L, m) detections in the gate of one confirmed track only, which has one leaf, and no other in it: it
         surely made them, however badly they fit."""
@@ -608,22 +650,12 @@ class Mbm(Filter):
         before = self.leaves.select(told.leaf)
         (hit,) = (told.column >= 0).nonzero()
         leaf, column, owner = told.leaf.take(hit), told.column.take(hit), before.owner
-        R, drawn_well = measured.R.take(column, axis=0), np.ones((len(hit), 1))
-        if weighed.misdrawn is not None and measured.outliers is not None:
-            # A mixture of two noises that differ in scale, as one: by their information (West, "On scale mixtures of
-            # normal distributions", 1987), which is what an outlier has little of.
-            drawn_well = 1.0 - weighed.misdrawn[leaf, column][:, None]
-            wide, share = np.linalg.inv(measured.outliers.R.take(column, axis=0)), drawn_well[:, :, None]
-            R = np.linalg.inv(share * np.linalg.inv(R) + (1.0 - share) * wide)
-        if weighed.merging is not None:
-            p, shift = weighed.merging
-            R += p[leaf, column][:, None, None] * shift.take(owner.take(hit), axis=0)
-        updated, fit = manoeuvre.update(before.motion.select(hit), measured.z.take(column, axis=0), R)
-        motion = before.motion
-        for old, new in zip(motion, updated, strict=True):
+        motion, size = before.motion, before.size
+        updated, seen_size, fit = self._updated(
+            Association(leaf, column), motion.select(hit), size.take(hit, axis=0), measured, weighed
+        )
+        for old, new in zip((*motion, size), (*updated, seen_size), strict=True):
             old[hit] = new  # `select` made copies
-        size = before.size
-        size[hit] = blend_sizes(size.take(hit, axis=0), measured.size.take(column, axis=0), drawn_well)
 
         p_detection = weighed.visibility.p_detection.take(owner)
         likelihood = 1.0 - p_detection
@@ -636,6 +668,32 @@ class Mbm(Filter):
         # The hypotheses' weights tell whether it made it.
         existence[hit[confirmed.take(hit)]] = MAX_EXISTENCE
         return Leaves(owner, motion, existence, size), fit
+
+    def _updated(
+        self,
+        made: Association,
+        motion: ModeMixture,
+        size: Array,
+        measured: Measurements,
+        weighed: Weighed,
+    ) -> tuple[ModeMixture, Array, ModeInnovations]:
+        """Leaves (k,) of these motions and box sizes (k, 2) px after the detections that they made: motion and sizes,
+        and how well it fitted."""
+        leaf, column = made
+        R = measured.R.take(column, axis=0)
+        drawn_well: float | Array = 1.0
+        if weighed.misdrawn is not None and measured.outliers is not None:
+            # A mixture of two noises that differ in scale, as one: by their information (West, "On scale mixtures of
+            # normal distributions", 1987), which is what an outlier has little of.
+            drawn_well = 1.0 - weighed.misdrawn[leaf, column][:, None]
+            wide, share = np.linalg.inv(measured.outliers.R.take(column, axis=0)), drawn_well[:, :, None]
+            R = np.linalg.inv(share * np.linalg.inv(R) + (1.0 - share) * wide)
+        if weighed.merging is not None:
+            p, shift = weighed.merging
+            owner = self.leaves.owner.take(leaf)
+            R += p[leaf, column][:, None, None] * shift.take(owner, axis=0)
+        updated, fit = manoeuvre.update(motion, measured.z.take(column, axis=0), R)
+        return updated, blend_sizes(size, measured.size.take(column, axis=0), drawn_well), fit
 
     def _weigh_existence(self, shown: Association, weighed: Weighed, taken: Array) -> None:
         """Of each track, as its published association tells it; under other hypotheses its target may be another's.

@@ -174,9 +174,10 @@ def pairs_of(
     rows: of tracks (k,) and of detections (k,).
     """
     (mean, cov), (z, R), (i, j) = prior, measured, rows
-    S = cov[i][:, POSITION, POSITION] + R[j]
-    e = whitened(z[j] - mean[i][:, POSITION], S)
-    share = 0.5 * (R[j].diagonal(axis1=1, axis2=2) / S.diagonal(axis1=1, axis2=2)).sum(axis=1)
+    made = R.take(j, axis=0)
+    S = cov.take(i, axis=0)[:, POSITION, POSITION] + made
+    e = whitened(z.take(j, axis=0) - mean.take(i, axis=0)[:, POSITION], S)
+    share = 0.5 * (made.diagonal(axis1=1, axis2=2) / S.diagonal(axis1=1, axis2=2)).sum(axis=1)
     return SurePairs(track[i], j, e, share, np.ones(len(i)), (e * e).sum(axis=1))
 
 

@@ -87,7 +87,9 @@ class Population:
         self.table.size[rows] = blend_sizes(self.table.size[rows], measured.size)
         self.learn_likeness(t, rows, measured.likeness)
 
-    def learn_likeness(self, t: float, rows: NDArray[np.intp] | NDArray[np.bool_], likeness: Array) -> None:
+    def learn_likeness(
+        self, t: float, rows: NDArray[np.intp] | NDArray[np.bool_] | slice, likeness: Array
+    ) -> None:
         """Update the likeness of these rows (k) from that (k) of their detections at t."""
         table = self.table
         new = within((t - table.looked[rows]) / INDEPENDENT_LOOK_S, REPEATED_LOOK_WEIGHT, 1.0)

@@ -162,6 +162,8 @@ MATCHINGS_ROUNDING = 1e-9
 
 # Marginals of matchings (`marginals`): rows open at once, 8192 sets, some milliseconds.
 MARGINALS_MOST_OPEN_ROWS = 13
+# Matchings up to which all are listed, 4 x 5 and 3 x 8: beyond, sweeping is cheaper.
+MARGINALS_MOST_LISTED = 550
 # Columns up to which all is swept as it comes, and up to which an order is not worth its time.
 MARGINALS_SMALL, MARGINALS_UNORDERED = 9, 12
 # Of a product of one ratio for each open row: a double ends at 709. And e to the second: nothing is more certain.
@@ -169,8 +171,10 @@ MARGINALS_LARGEST_EXPONENT, MARGINALS_LARGEST_LOG_RATIO = 600.0, 1e6
 BELIEF_ITERATIONS, BELIEF_TOLERANCE = 200, 1e-6
 # Beliefs below which pairs are left out of the sweep, the first that makes it narrow enough.
 BELIEF_CUTS: Array = np.geomspace(1e-6, 0.51, 40)
-# Rows up to which all sets of them are kept: 32 sets.
-MARGINALS_OF_EACH_MOST_ROWS = 5
+# Rows up to which all sets of them are kept: 256 sets; and those swept at once, which a cache holds.
+MARGINALS_OF_EACH_MOST_ROWS, MARGINALS_OF_EACH_SETS = 8, 8192
+# Rows of which a matrix of sets is cheaper than a step for each of them.
+MARGINALS_OF_EACH_BY_MATRICES = 4
 
 # Smoothing (`smoothing`): ten seconds at 60 Hz: beyond, the lag is shorter than it was configured.
 SMOOTHER_MOST_SCANS = 600

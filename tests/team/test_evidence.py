@@ -7,7 +7,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from swarmtrack.geometry import rotation
-from swarmtrack.team.evidence import Marginal, TeammatePrior, design, turned_back
+from swarmtrack.team.evidence import (
+    Marginal,
+    TeammatePrior,
+    design,
+    log_evidence_of_nothing,
+    turned_back,
+)
 from swarmtrack.team.own_errors import OwnErrors, PathTurn
 from swarmtrack.team.priors import (
     P_TEAMMATE_HEADING_OFF,
@@ -153,3 +159,11 @@ def test_places_and_frames_follow_what_the_teammate_says():
     error = mean - np.append(-PADS[OWN] - way, 0.0)
     assert error @ np.linalg.solve(cov, error) < 20.0
     assert math.sqrt(cov[3, 3]) < math.radians(4.0)
+
+
+@pytest.mark.parametrize("doubting", [False, True])
+def test_what_a_teammate_out_of_view_says_is_known_without_a_sum(doubting):
+    every = np.arange(len(ERRORS))
+    nothing = Marginal(np.zeros((1, 8, 8)), COV, np.unique(ERRORS.spread), doubting=doubting)
+    (found,) = nothing.log_evidence(TeammatePrior.of(MATE, ERRORS), ERRORS, every, 0.05)
+    assert found == pytest.approx(log_evidence_of_nothing(every, doubting=doubting), abs=1e-12)

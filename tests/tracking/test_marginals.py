@@ -8,6 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.tracking import marginals
+from swarmtrack.tracking.listed_matchings import listed
 from swarmtrack.tracking.marginals import matched, matching_marginals, sweep_width
 from swarmtrack.tracking.priors import MARGINALS_MOST_OPEN_ROWS, MARGINALS_SMALL
 
@@ -225,3 +226,25 @@ def test_a_cluster_that_is_too_wide_is_left_to_whom_the_caller_says():
     assert asked == [((3, 4), 2)]
     assert found[3:] == pytest.approx(written_out(log_ratio[3:]), abs=1e-12)
     assert found[:3, :4] == pytest.approx(marginals.beliefs(log_ratio[:3, :4]))
+
+
+@pytest.mark.parametrize("small", [MARGINALS_SMALL, 0])
+@UNHURRIED
+@given(log_ratio=ratios(largest=50, size=4))
+def test_the_few_matchings_of_a_small_cluster_are_listed_whatever_sweeps_larger_ones(small, log_ratio):
+    """0: as an order of the columns sweeps it, of which the listing is independent."""
+    every = listed(*log_ratio.shape)
+    assert every is not None
+    assert len(every.has) == len(matchings(np.zeros(log_ratio.shape))[0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(marginals, "MARGINALS_SMALL", small)
+        patch.setattr(marginals, "MARGINALS_UNORDERED", small)
+        found, reference = every.matched(log_ratio[None]), matched(log_ratio)
+    assert found.probability[0] == pytest.approx(reference.probability, abs=1e-12)
+    assert found.log_total[0] == pytest.approx(reference.log_total, rel=1e-12, abs=1e-12)
+
+
+def test_more_matchings_than_a_sweep_is_worth_are_not_listed():
+    assert listed(4, 5) is not None
+    assert listed(5, 4) is not None
+    assert listed(5, 5) is None

@@ -676,3 +676,34 @@ def test_who_flies_off_is_followed_whatever_its_boxes_look_like(likeness):
     off, speed = hovering_then(*flies_off, likeness=likeness)
     assert abs(off) < 4.0
     assert speed == pytest.approx(200.0 * 9 / 7, rel=0.3)
+
+
+@pytest.mark.parametrize("learn_noise", ["both", "no"])
+@pytest.mark.parametrize("boxes", [True, False])
+def test_a_settled_scan_says_what_the_long_way_says(monkeypatch, learn_noise, boxes):
+    """To the last bit, with scans between that are not settled: a miss, a false detection, two that meet."""
+    rng, drones = np.random.default_rng(5), np.array([[200.0, 200.0], [280.0, 205.0], [450.0, 300.0]])
+    speed = np.array([[0.5, 0.0], [0.0, 0.0], [0.0, 0.3]])
+    short, long = (mbm(learn_noise=learn_noise) for _ in range(2))
+    monkeypatch.setattr(long.filter, "_undoubted", lambda weighed: None)
+    settled = []
+    undoubted = short.filter._undoubted
+    monkeypatch.setattr(
+        short.filter, "_undoubted", lambda weighed: settled.append(undoubted(weighed)) or settled[-1]
+    )
+    for k in range(120):
+        places = drones + k * speed + rng.normal(0.0, 0.7, (3, 2))
+        places = rng.permutation(places)[: 2 if k % 29 == 20 else 3]
+        if k % 31 == 25:
+            places = np.concatenate([places, [[100.0, 420.0]]])
+        size = np.full(places.shape, 24.0) + rng.normal(0.0, 0.3, places.shape)
+        scan = Scan(k / 15.0, places, None, size if boxes else None, np.full(len(places), 0.8))
+        for tracker in (short, long):
+            tracker.predict(scan.t, rotation.exp(np.array([0.0, 2e-3 * (-1) ** k, 0.0])), 1e-7)
+            tracker.update(scan)
+        for found, expected in zip(short.tracks, long.tracks, strict=True):
+            assert repr(found) == repr(expected)
+        assert_hangs_together(short)
+        assert short.measured_noise == long.measured_noise
+        assert short.consistency == long.consistency
+    assert 60 < sum(column is not None for column in settled) < 118
