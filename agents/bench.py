@@ -114,6 +114,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.trackers.benchmark",
         "every tracker: the paper's figures, and harder scenes",
     ),
+    "visual-gyro": (
+        "swarmtrack.benchmarks.visual_gyro",
+        "the camera's rotation by its images: error, cost, and tracks without a gyro",
+    ),
 }
 
 
