@@ -100,6 +100,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.scenery",
         "false detections among houses, poles and trees, in rendered flights",
     ),
+    "mot": (
+        "swarmtrack.benchmarks.mot",
+        "our trackers and those of others: HOTA, IDF1, MOTA, switches",
+    ),
     "seams": (
         "swarmtrack.benchmarks.seams",
         "handover of tracks between the cameras of a drone",
