@@ -108,6 +108,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.scenery",
         "false detections among houses, poles and trees, in rendered flights",
     ),
+    "mot": (
+        "swarmtrack.benchmarks.mot",
+        "our trackers and those of others: HOTA, IDF1, MOTA, switches",
+    ),
     "seams": (
         "swarmtrack.benchmarks.seams",
         "handover of tracks between the cameras of a drone",
@@ -121,6 +125,10 @@ BENCHMARKS = {
     "trackers": (
         "swarmtrack.benchmarks.trackers.benchmark",
         "every tracker: the paper's figures, and harder scenes",
+    ),
+    "visual-gyro": (
+        "swarmtrack.benchmarks.visual_gyro",
+        "the camera's rotation by its images: error, cost, and tracks without a gyro",
     ),
 }
 

@@ -167,6 +167,7 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s
     """Raises SourceError where the video is not of this flight."""
     from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
     from swarmtrack.detection.expectation import PerceivedExpectation
+    from swarmtrack.runtime.perception import make_visual_gyro
     from swarmtrack.sources import DetectionSource
 
     recorder, autopilot = parts.recorder, parts.autopilot
@@ -185,6 +186,7 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s
     parts.door.listener = recorder
     flight = _Flight(parts, clock, log)
     expectation = PerceivedExpectation(parts.door.perceived)
+    visual_gyro = make_visual_gyro(parts.config, parts.lens)
     frames = 0
     try:
         async for frame in parts.camera.frames():
@@ -193,6 +195,9 @@ async def import_flight(parts: Parts, clock: ManualClock, offset: float, video_s
             recorder.frame(exposed)
             # The gyro reaches the exposure before the detector asks it, as it does in flight and in a replay.
             flight.until(exposed.t + DETECTOR_S)
+            turn = None if visual_gyro is None else visual_gyro.turn_to(exposed)
+            if turn is not None:
+                flight.deliver(turn)
             detections = parts.detector.detect(parts.detector.plan(exposed, expectation))
             if detections is not None:
                 flight.deliver(detections)

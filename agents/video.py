@@ -43,7 +43,10 @@ source = {source}
 intrinsics = {{ fx = {f:.1f}, fy = {f:.1f}, cx = {cx:.1f}, cy = {cy:.1f}, width = {width}, height = {height} }}
 
 [autopilot]
-link = "none"                     # the camera is assumed not to turn
+link = "none"
+
+[motion]
+turn_from = {turn_from}
 
 [network]
 transport = "memory"              # sends nothing
@@ -63,6 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DEG",
         help="horizontal field of view (default: %(default)g)",
     )
+    add_flag(parser, "--still", "the camera does not turn (default: its turns are measured in the images)")
     parser.add_argument(
         "--fps",
         type=positive,
@@ -169,6 +173,7 @@ def _write_config(args: argparse.Namespace, out: Path, size: tuple[int, int]) ->
         cy=0.5 * (height - 1),
         width=width,
         height=height,
+        turn_from=json.dumps("nothing" if args.still else "images"),
     )
     if args.model is not None:
         text += f"\n[detector]\nmodel = {json.dumps(str(args.model.absolute()))}\n"

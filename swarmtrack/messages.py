@@ -84,6 +84,25 @@ class ImuSample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class VisualTurn:
+    """Rotation of the first camera between two of its exposures, by what its images show (`detection/visual_gyro.py`).
+
+    since, t [s]: exposures; turn (3,) rad: rotation vector in the camera's axes; variance [rad²] of its error, per
+    axis: that of any angle where the images do not show it.
+    """
+
+    since: float
+    t: float
+    turn: Array
+    variance: float
+
+    def __post_init__(self) -> None:
+        _hold(self, "turn", (3,))
+        if not (self.since < self.t < math.inf and 0.0 < self.variance < math.inf):
+            raise ValueError(f"VisualTurn: expected since < t and a variance above 0, got {self}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class EgoPose:
     """Where this drone is, by its own autopilot: in the frame it started in (NED), or by GPS in the team frame.
 
@@ -655,6 +674,7 @@ Input = (
     | EgoPose
     | FlightState
     | AutopilotRebooted
+    | VisualTurn
     | Detections
     | Announcement
     | Membership

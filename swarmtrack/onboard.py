@@ -57,6 +57,7 @@ from swarmtrack.messages import (
     StrangerReport,
     Track,
     TrackList,
+    VisualTurn,
 )
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
@@ -135,17 +136,20 @@ class Onboard:
         start_sigma_m: float = 0.0,
         estimate_gyro_bias: bool = True,
         places_anybody: bool = False,
+        uses_gyro: bool = True,
     ) -> None:
         """cameras: in the order of the config, as `Detections.camera` counts them; the gyro's axes are the first one's.
         start_sigma_m: how well the drone knows where it starts, m per axis, beside what its autopilot says.
         estimate_gyro_bias: from the autopilot's attitudes; that of `gyro` is where it begins. places_anybody: find
-        where confirmed tracks are by their size also while they have no name, for who has to keep clear of them."""
+        where confirmed tracks are by their size also while they have no name, for who has to keep clear of them.
+        uses_gyro: false where the camera's rotation is not the gyro's, as on a gimbal."""
         self.counters = Counters()
         self.cameras = tuple(cameras)
         self.gyro = gyro
         self.self_doubt = False
         """Whether what this drone sees shows that its own start or heading is wrong."""
         self._drone_id = drone_id
+        self._uses_gyro = uses_gyro
         self._first = first = cameras[0].mounting
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self._heading_steps = HeadingSteps(gyro, first.body_from_camera.rotation)
@@ -184,10 +188,15 @@ class Onboard:
     def tell(self, event: Input) -> None:
         """Something happened: the one way in."""
         match event:
+            case ImuSample() if not self._uses_gyro:
+                pass
             case ImuSample():
                 x, y, z = (self._first.camera_from_body @ event.gyro).tolist()
                 self.gyro.append(event.t, (x, y, z))
                 self._bias.settle()
+                self._settle()
+            case VisualTurn():
+                self.gyro.add_visual_turn(event)
                 self._settle()
             case EgoPose():
                 self._ego.append(event)

@@ -20,6 +20,7 @@ from swarmtrack.messages import (
     RangeReport,
     ScanReport,
     SightingReport,
+    VisualTurn,
 )
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
@@ -150,6 +151,31 @@ def test_without_a_gyro_scans_are_tracked_at_once():
         drone.tell(seen(k / 15, (200, 200), sequence=k))
     assert [report.sequence for report in drone.events()] == list(range(6))
     assert drone.tracks(0.4).tracks[0].track.status == "confirmed"
+
+
+def panned(drone, *, turn, gyro=None):
+    """A pan to the right by 0.1 rad per frame, over a drone that stands still; turn: rad, what the images show."""
+    for k in range(8):
+        t = k / 10
+        if gyro is not None:
+            drone.tell(ImuSample(t, gyro, NO_ACCEL))
+        if k:
+            drone.tell(VisualTurn((k - 1) / 10, t, np.array([0.0, turn, 0.0]), 1e-6))
+        drone.tell(seen(t, (320.0 + 430.0 * np.tan(0.3 - 0.1 * k), 240.0), sequence=k))
+    return drone, {track.track.id for report in drone.events()[3:] for track in report.tracks.tracks}
+
+
+def test_images_carry_tracks_through_a_pan_where_there_is_no_gyro():
+    _, numbers = panned(onboard(), turn=0.1)
+    assert len(numbers) == 1
+
+
+def test_a_gyro_that_is_not_the_cameras_is_left_alone():
+    drone = onboard()
+    drone._uses_gyro = False
+    drone, numbers = panned(drone, turn=0.1, gyro=np.array([0.0, 0.0, -1.0]))
+    assert len(numbers) == 1
+    assert drone.part_counters["visual_turns"] == 7
 
 
 def test_a_gyro_that_fell_silent_holds_nothing_up():

@@ -618,7 +618,14 @@ class RecordingSection(Section):
 
 
 class MotionSection(Section):
-    """[motion]: the gyro that carries tracks from one exposure to the next."""
+    """[motion]: the camera's rotation, which carries tracks from one exposure to the next."""
+
+    turn_from: Literal["auto", "gyro", "images", "both", "nothing"] = Field(
+        default="auto",
+        description="source of the camera's rotation: the autopilot's gyro; the first camera's images, for a camera "
+        "on a gimbal; both, where images replace a silent gyro and check one that is not; or nothing, for a tripod. "
+        '"auto": the gyro, or both where autopilot.link is "none"',
+    )
 
     history_s: Annotated[Number, Field(ge=0.1, le=60.0)] = Field(
         default=2.0, description="largest delay of a detection after its exposure"
@@ -735,6 +742,13 @@ class DroneConfig(LayeredConfig):
     def flies_in_formation(self) -> bool:
         """Whether this drone's agent may fly it: it is a follower, and that is enabled."""
         return self.formation.enabled and self.formation.parameters(self.drone.id) is not None
+
+    @property
+    def turn_from(self) -> str:
+        """`motion.turn_from`, "auto" resolved. Without a link a gyro may still come, from the log of an import."""
+        if self.motion.turn_from != "auto":
+            return self.motion.turn_from
+        return "both" if self.autopilot.link == "none" and not self.camera.detects_by_itself else "gyro"
 
     @property
     def is_alone(self) -> bool:

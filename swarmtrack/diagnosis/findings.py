@@ -280,8 +280,8 @@ FAULTS: dict[str, Fault] = {
     ),
     "autopilot.none": Fault(
         W,
-        "no autopilot is configured: the camera is assumed not to turn",
-        "set autopilot.link, unless the camera is on a tripod or the images come from a recording",
+        "no autopilot is configured: the first camera's turns are measured in its images",
+        'set autopilot.link, unless this is a recording, or the camera is on a tripod: motion.turn_from = "nothing"',
     ),
     "pose.unmeasured": Fault(
         W,

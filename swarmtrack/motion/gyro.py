@@ -9,6 +9,9 @@ What the samples do not tell is paid for in variance. The rate between two known
 angular acceleration is white with density `angular_acceleration_psd`: its integral over a step dt has variance
 q dt³/12, and q dt³/3 where the second sample is missing (beyond the newest). So a gap needs no special case: five
 lost samples cost two hundred times one step, and a stopped gyro soon says that it knows nothing.
+
+Without a gyro the turn from exposure to exposure is measured in the images (`add_visual_turn`). It is fused with the
+prediction by the last rate, by their variances: an image that shows nothing leaves the prediction, and its variance.
 """
 
 from __future__ import annotations
@@ -19,8 +22,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.messages import Array
-from swarmtrack.motion.priors import GYRO_GAP_STEPS, UNKNOWN_ANGLE_VARIANCE_RAD2
+from swarmtrack.geometry.rotation import log
+from swarmtrack.messages import Array, VisualTurn
+from swarmtrack.motion.priors import (
+    GYRO_GAP_STEPS,
+    GYRO_WAIT_S,
+    UNKNOWN_ANGLE_VARIANCE_RAD2,
+    UNKNOWN_RATE_VARIANCE_RAD2_S2,
+    VISUAL_TURN_GATE,
+)
 
 Quaternion = tuple[float, float, float, float]
 Vector = tuple[float, float, float]
@@ -87,6 +97,12 @@ class GyroHistory:
         self._times: list[float] = []
         self._rates: list[Vector] = []
         self._orientations: list[Orientation] = []
+        self._rate_variances: list[float] = []
+        """rad²/s² per axis: of a rate by images, the mean since the one before; 0: of a gyro's."""
+        self.visual_turns = 0
+        """Rotations by images that were used, in the absence of a gyro."""
+        self.visual_contradictions = 0
+        """Rotations by images that the gyro contradicts."""
 
     @property
     def newest(self) -> float | None:
@@ -100,6 +116,8 @@ class GyroHistory:
             "gyro_gaps": self.gaps,
             "gyro_out_of_order": self.out_of_order,
             "gyro_restarts": self.restarts,
+            "visual_turns": self.visual_turns,
+            "visual_turns_contradicted": self.visual_contradictions,
         }
 
     def append(self, t: float, rate: Vector) -> None:
@@ -116,9 +134,58 @@ class GyroHistory:
         else:
             self._count_gap(t - self._times[-1])
             self._orientations.append(self._advance(-1, t, rate))
+        self._remember(t, rate, 0.0)
+        self.samples += 1
+
+    def add_visual_turn(self, seen: VisualTurn) -> None:
+        """A rotation between two exposures, by what the images show. Where the gyro was silent in between, it is where
+        the camera has turned; else it is only compared."""
+        newest = self.newest
+        if (
+            newest is not None
+            and newest > min(seen.since, seen.t - GYRO_WAIT_S)
+            and not self._rate_variances[-1]
+        ):
+            self._compare(seen)
+            return
+        if newest is not None and newest > seen.since:
+            return
+        if newest is None:
+            start = self.orientation(seen.since)
+            self._orientations = [start]
+            self._remember(seen.since, (0.0, 0.0, 0.0), UNKNOWN_RATE_VARIANCE_RAD2_S2)
+        start, foretold = self.orientation(seen.since), self.orientation(seen.t)
+        prior = foretold.variance - start.variance
+        believed = prior / (prior + seen.variance)
+        a, b, c = self._rates[-1]
+        dt = seen.t - seen.since
+        x, y, z = seen.turn.tolist()
+        turn = (
+            a * dt + believed * (x - a * dt),
+            b * dt + believed * (y - b * dt),
+            c * dt + believed * (z - c * dt),
+        )
+        variance = believed * seen.variance
+        if self._times[-1] < seen.since:
+            self._orientations.append(start)
+            self._remember(seen.since, self._rates[-1], self._rate_variances[-1])
+        self._orientations.append(
+            Orientation(_multiply(start.quaternion, _exp(turn)), start.variance + variance)
+        )
+        rate = (turn[0] / dt, turn[1] / dt, turn[2] / dt)
+        self._remember(seen.t, rate, variance / dt**2 + self._psd * dt / 3.0)
+        self.visual_turns += 1
+
+    def _compare(self, seen: VisualTurn) -> None:
+        turned = self.rotation(seen.since, seen.t)
+        off = float(np.sum((log(turned.matrix) + seen.turn) ** 2))
+        self.visual_contradictions += off > VISUAL_TURN_GATE * (turned.variance + seen.variance)
+
+    def _remember(self, t: float, rate: Vector, rate_variance: float) -> None:
+        """What holds at t, where the orientation has just been appended."""
         self._times.append(t)
         self._rates.append(rate)
-        self.samples += 1
+        self._rate_variances.append(rate_variance)
         if self._times[0] < t - 2.0 * self.history_s:
             self._forget(t - self.history_s)
 
@@ -129,6 +196,8 @@ class GyroHistory:
         k = bisect_right(self._times, t) - 1
         if 0 <= k < len(self._times) - 1:
             fraction = (t - self._times[k]) / (self._times[k + 1] - self._times[k])
+            if self._rate_variances[k + 1]:
+                return self._between(k, t, fraction)
             a, b = self._rates[k], self._rates[k + 1]
             rate = (
                 a[0] + fraction * (b[0] - a[0]),
@@ -148,6 +217,8 @@ class GyroHistory:
         if first < 0 or last == len(self._times) or last - first < 4:
             return None
         part = slice(first, last + 1)
+        if any(self._rate_variances[part]):
+            return None
         t, rates = np.array(self._times[part]), np.array(self._rates[part])
         k = np.searchsorted(t, times, side="right") - 1
         dt = times - t[k]
@@ -186,11 +257,19 @@ class GyroHistory:
         variance = start.variance + self._noise * dt + self._psd * dt**3 / 12.0
         return Orientation(_multiply(start.quaternion, _exp(phi)), variance)
 
+    def _between(self, k: int, t: float, fraction: float) -> Orientation:
+        """At a share of the time from node k to the next one, whose rate is the mean of that time."""
+        dt = t - self._times[k]
+        x, y, z = self._rates[k + 1]
+        start, end = self._orientations[k : k + 2]
+        variance = start.variance + fraction * (end.variance - start.variance)
+        return Orientation(_multiply(start.quaternion, _exp((x * dt, y * dt, z * dt))), variance)
+
     def _hold(self, k: int, t: float) -> Orientation:
         dt = t - self._times[k]
         x, y, z = self._rates[k]
         start = self._orientations[k]
-        paid = self._noise * abs(dt) + self._psd * abs(dt) ** 3 / 3.0
+        paid = self._noise * abs(dt) + self._psd * abs(dt) ** 3 / 3.0 + self._rate_variances[k] * dt * dt
         variance = start.variance + math.copysign(paid, dt)
         return Orientation(_multiply(start.quaternion, _exp((x * dt, y * dt, z * dt))), variance)
 
@@ -204,12 +283,12 @@ class GyroHistory:
         """The stamps jumped back by more than the history: what lies between then and now is unknown."""
         last = self._orientations[-1]
         self._orientations = [last._replace(variance=last.variance + UNKNOWN_ANGLE_VARIANCE_RAD2)]
-        self._times, self._rates = [], []
+        self._times, self._rates, self._rate_variances = [], [], []
         self.restarts += 1
 
     def _forget(self, before: float) -> None:
         keep = max(bisect_right(self._times, before) - 1, 0)
-        del self._times[:keep], self._rates[:keep], self._orientations[:keep]
+        del self._times[:keep], self._rates[:keep], self._orientations[:keep], self._rate_variances[:keep]
 
 
 # Four-number quaternions in plain Python: for one product an array costs five times as much as the arithmetic.

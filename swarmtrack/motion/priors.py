@@ -36,8 +36,12 @@ GYRO_WAIT_S = 0.05
 # Gyro (`gyro`): a step longer than this many usual steps is a gap. An autopilot that rounds 333 Hz to whole
 # milliseconds alternates between 2.5 and 5 ms (1.7 usual steps) without losing anything; one lost sample is 2.
 GYRO_GAP_STEPS = 1.9
-# Nothing is known of an angle: uniform over a turn.
+# Nothing is known of an angle: uniform over a turn. And of a rate, per axis, until a camera without a gyro has seen two
+# images: most drones yaw no faster than 90 degrees a second.
 UNKNOWN_ANGLE_VARIANCE_RAD2 = math.pi**2 / 3
+UNKNOWN_RATE_VARIANCE_RAD2_S2 = 1.0
+# Squared distance of a rotation by images from the gyro's, over its variance per axis: three axes, five sigmas.
+VISUAL_TURN_GATE = 3 * 25.0
 
 # Gyro bias (`gyro_bias`): time between attitudes that are used, and how long an attitude's error lasts.
 BIAS_ATTITUDE_PERIOD_S = 0.2

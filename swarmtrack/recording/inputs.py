@@ -35,6 +35,7 @@ from swarmtrack.messages import (
     SightingReport,
     StrangerRay,
     StrangerReport,
+    VisualTurn,
 )
 
 
@@ -103,6 +104,17 @@ FORMS: tuple[Form, ...] = (
             Entry("gyro", "gyro_rad_s", (3,)),
             Entry("accel", "accel_m_s2", (3,)),
             Entry("gyro_delay", "gyro_delay_s", added=True),
+        ),
+    ),
+    Form(
+        "/turn",
+        "swarmtrack.VisualTurn",
+        VisualTurn,
+        (
+            Entry("since", "since_s"),
+            _T,
+            Entry("turn", "turn_rad", (3,)),
+            Entry("variance", "variance_rad2"),
         ),
     ),
     Form(

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.errors import RecordingError
 from swarmtrack.follower import LocalSetpoint
-from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, TrackList
+from swarmtrack.messages import Detections, Frame, ImuSample, Input, ScanReport, TrackList, VisualTurn
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.reader import Message, Recording
 from swarmtrack.recording.settings import FlightSettings
 from swarmtrack.replay.recorded_frames import RecordedFrames
 from swarmtrack.runtime.door import Door
-from swarmtrack.runtime.perception import make_follower, make_onboard
+from swarmtrack.runtime.perception import make_follower, make_onboard, make_visual_gyro
 
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
@@ -147,6 +147,9 @@ class Replayer:
         )
         self._gyro_delay_s = settings.config.motion.gyro_delay_s
         self._detector = detector
+        self._visual_gyro = (
+            None if detector is None else make_visual_gyro(settings.config, settings.cameras[0].camera)
+        )
         perceived = self._door.perceived
         self._expectations = [PerceivedExpectation(perceived, k) for k in range(len(settings.cameras))]
         self._recorded_frames = RecordedFrames(len(settings.cameras))
@@ -270,12 +273,18 @@ class Replayer:
         if isinstance(event, ImuSample) and wanted is not None and event.gyro_delay != wanted:
             yield replace(event, t=event.t + event.gyro_delay - wanted, gyro_delay=wanted)
             return
+        if self._visual_gyro is not None and isinstance(event, VisualTurn):
+            return  # as of the recorded frames, below
         if self._detector is None or not isinstance(event, Detections):
             yield event
             return
         frame = self._frames.pop((event.camera, event.sequence), None)
         if frame is None:
             return
+        if self._visual_gyro is not None and frame.camera == 0:
+            turn = self._visual_gyro.turn_to(frame)
+            if turn is not None:
+                yield turn
         detections = self._detector.detect(self._detector.plan(frame, self._expectations[frame.camera]))
         if detections is not None:
             yield detections

@@ -46,6 +46,7 @@ from swarmtrack.runtime.formation_pilot import FormationPilot
 from swarmtrack.runtime.guard_process import GuardProcess
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
+from swarmtrack.runtime.perception import make_visual_gyro
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
@@ -106,6 +107,7 @@ class Agent:
             also=None if parts.ros2 is None else parts.ros2.on_tracks,
         )
         self._worker = ThreadPoolExecutor(1, thread_name_prefix="detector")
+        self._visual_gyro = make_visual_gyro(config, parts.lens)
         perceived = parts.door.perceived
         self._expectations = [PerceivedExpectation(perceived, k) for k in range(len(parts.cameras))]
         self._turns = FairTurns()
@@ -297,6 +299,7 @@ class Agent:
         self._live.offer(frame.t, frame.sequence, frame.image, frame.camera)
         began = self._wall.now()
         self._watchdog.look_began(began)
+        await self._see_turn(frame)
         look = detector.plan(frame, self._expectations[frame.camera])
         detections = await asyncio.get_running_loop().run_in_executor(self._worker, detector.detect, look)
         self._watchdog.look_ended()
@@ -304,6 +307,15 @@ class Agent:
         if detections is not None and self._videos:
             self._videos[frame.camera].add_frame(frame)
         return detections
+
+    async def _see_turn(self, frame: Frame) -> None:
+        """How the first camera has turned since its last frame, by its images; known before the detector looks."""
+        if self._visual_gyro is None or frame.camera:
+            return
+        loop = asyncio.get_running_loop()
+        turn = await loop.run_in_executor(self._worker, self._visual_gyro.turn_to, frame)
+        if turn is not None:
+            self.deliver(turn)
 
     def _is_fresh(self, exposed: float, number: int) -> bool:
         """Whether what a camera exposed then is young enough to be used now; what is not is counted."""

@@ -47,6 +47,12 @@ DANGERS = {
     "the camera's direction only",
 }
 
+TURNS_BY = {
+    "gyro": "by the gyro",
+    "images": "by the first camera's images",
+    "both": "by the gyro, and by the first camera's images where it is silent",
+    "nothing": "never: the camera is assumed not to turn",
+}
 FLOWN = "enabled: its agent flies it while its pilot has it in GUIDED or OFFBOARD"
 NOT_FLOWN = "not enabled: its agent only watches"
 
@@ -67,13 +73,14 @@ def check(path: Path) -> None:
     for number, section in enumerate(config.cameras):
         _print_camera(parts, number, section)
     if link in ("none", "sim"):
-        print(f"autopilot  {'simulated' if parts.autopilot else 'none: the camera is assumed not to turn'}")
+        print(f"autopilot  {'simulated' if parts.autopilot else 'none'}")
     else:
         autopilot = link_address(link)
         print(f"autopilot  {autopilot}{_absence(autopilot.path) if autopilot.scheme == 'serial' else ''}")
         heading = config.autopilot.heading_sigma_deg
         print(f"heading    ±{heading.ground:g}° on the ground, ±{heading.flight:g}° in flight")
         print(f"sending    {', '.join(config.autopilot.tell) or 'only a heartbeat'}")
+    print(f"turns      {TURNS_BY[config.turn_from]}")
     detector = (
         "none: the camera detects by itself" if parts.detector is None else parts.detector.status().text
     )

@@ -13,6 +13,7 @@ import numpy as np
 from swarmtrack.clock import Clock
 from swarmtrack.config.drone import DetectorSection, DroneConfig, MountedCamera
 from swarmtrack.follower import Follower
+from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.motion.ego import EgoHistory
@@ -27,6 +28,7 @@ from swarmtrack.tracking import AGENT_PARAMETERS, create_trackers
 # itself does not pay.
 if TYPE_CHECKING:
     from swarmtrack.detection.detector import Detector
+    from swarmtrack.detection.visual_gyro import VisualGyro
 
 GUIDED_SCALE = 0.5  # of the whole frame, where windows see the rest
 
@@ -78,6 +80,7 @@ def make_onboard(
         start_sigma_m=config.drone.start.frame_sigma_m,
         estimate_gyro_bias=motion.estimate_gyro_bias,
         places_anybody=config.flies_in_formation,
+        uses_gyro=config.turn_from in ("gyro", "both"),
     )
 
 
@@ -97,6 +100,15 @@ def make_ego_history(config: DroneConfig, start: Pose | None, *, history_s: floa
         history_s=history_s,
         heading=config.autopilot.heading_sigma,
     )
+
+
+def make_visual_gyro(config: DroneConfig, lens: PinholeCamera) -> VisualGyro | None:
+    """Visual gyro of the first camera, with this lens; None where the config does not ask for one."""
+    if config.camera.detects_by_itself or config.turn_from not in ("images", "both"):
+        return None
+    from swarmtrack.detection.visual_gyro import VisualGyro  # noqa: PLC0415
+
+    return VisualGyro(lens)
 
 
 def make_detector(config: DroneConfig, clock: Clock) -> Detector | None:

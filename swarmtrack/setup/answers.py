@@ -37,7 +37,7 @@ WIRINGS = {
     "ardupilot-uart": Wiring(UART, (ARDUPILOT_UART, DEVICES)),
     "ardupilot-usb": Wiring(USB, (BY_ID,)),
     "ardupilot-udp": Wiring("udpin:127.0.0.1:14550", ("Let the router on this computer send here.", OUTSIDE)),
-    "none": Wiring("none", ("No autopilot: the camera is assumed not to turn.",)),
+    "none": Wiring("none", ("No autopilot: the camera's turns are measured in its images.",)),
 }
 
 

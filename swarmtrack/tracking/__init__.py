@@ -11,6 +11,7 @@ from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.messages import Scan
 from swarmtrack.tracking.base import Filter, Tracker
 from swarmtrack.tracking.gmphd import GmPhd
+from swarmtrack.tracking.hidden import HiddenTracks, all_around
 from swarmtrack.tracking.jpdaf import Jpdaf
 from swarmtrack.tracking.kalman import Kalman
 from swarmtrack.tracking.mbm import Mbm
@@ -44,11 +45,15 @@ def create_trackers(name: str, *, cameras: Sequence[PinholeCamera], **parameters
     """One for each camera of a drone, for a `Rig`: no two of their tracks have the same number. Raises as
     `create_tracker` does."""
     told = parameters_of(name, **parameters)
-    ids = TrackIds()
+    ids, kind = TrackIds(), TRACKERS[name]
     trackers = []
     for index, camera in enumerate(cameras):
-        sensor = SensorModel(camera, told)
-        trackers.append(Tracker(sensor, TRACKERS[name](sensor, told, ids), index))
+        sensor, hidden = SensorModel(camera, told), None
+        # Of several cameras the nearest one has what none of them sees, and a wide lens' plane holds nearly everything.
+        if len(cameras) == 1 and not camera.is_wide:
+            lens = all_around(camera)
+            hidden = HiddenTracks(camera, lens, kind(SensorModel(lens, told), told, ids))
+        trackers.append(Tracker(sensor, kind(sensor, told, ids), index, hidden))
     return trackers
 
 

@@ -19,12 +19,14 @@ from numpy.typing import NDArray
 from swarmtrack.geometry.rotation import log as turned_by
 from swarmtrack.messages import Array, Scan, Track
 from swarmtrack.tracking.consistency import Consistency, InnovationWindow
+from swarmtrack.tracking.hidden import HiddenTracks
 from swarmtrack.tracking.lifecycle import Reach
 from swarmtrack.tracking.motion_model import Course
 from swarmtrack.tracking.noise import MeasuredNoise, SurePairs
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.passage import Passage
-from swarmtrack.tracking.priors import LOST_BELOW_EXISTENCE, STEADY_RATE_CHANGE_RAD_S
+from swarmtrack.tracking.population import is_gone
+from swarmtrack.tracking.priors import STEADY_RATE_CHANGE_RAD_S
 from swarmtrack.tracking.sensor_model import Measurements, SensorModel
 from swarmtrack.tracking.smoothing import FixedLag
 from swarmtrack.tracking.table import TrackColumns, TrackIds, TrackTable
@@ -97,10 +99,17 @@ class Filter(Protocol):
 class Tracker:
     """Multi-target tracking in the image plane, clocked by the exposures of the scans."""
 
-    def __init__(self, sensor: SensorModel, filter: Filter, camera_index: int = 0) -> None:
-        """camera_index: which of a drone's cameras it is."""
+    def __init__(
+        self,
+        sensor: SensorModel,
+        filter: Filter,
+        camera_index: int = 0,
+        hidden: HiddenTracks | None = None,
+    ) -> None:
+        """camera_index: which of a drone's cameras it is; hidden: keeps what has turned out of the image plane."""
         camera = sensor.camera
         self._camera_index = camera_index
+        self._hidden = hidden
         self._sensor = sensor
         self.filter = filter
         self._innovations = InnovationWindow(sensor.parameters.gate_probability)
@@ -188,7 +197,12 @@ class Tracker:
         self._note_turn(dt, rotation)
         self._smoother.move(self.filter.table, dt, rotation)
         self._changes()
+        back = None
+        if self._hidden is not None and rotation is not None:
+            back = self._hidden.carry(self.filter, dt, rotation, rotation_variance)
         self.filter.predict(dt, rotation, rotation_variance)
+        if back is not None:
+            self.filter.adopt(back)
         self._t = t
 
     def refuses(self, t: float) -> bool:
@@ -278,8 +292,7 @@ class Tracker:
         """(n,) s, of tracks that are lost because they are out of the picture: the first scan that missed them; NaN of
         all others."""
         table = self.filter.table
-        gone = table.lost & table.confirmed & (table.existence >= LOST_BELOW_EXISTENCE)
-        return np.where(gone, table.missed_since, np.nan)
+        return np.where(is_gone(table), table.missed_since, np.nan)
 
     def not_lost(self, rows: NDArray[np.bool_]) -> None:
         """These rows (n,) are out of this picture, but not out of sight of the drone."""

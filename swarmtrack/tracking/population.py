@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.tracking import lifecycle
 from swarmtrack.tracking.association import gate_threshold
-from swarmtrack.tracking.gaussian import innovations
+from swarmtrack.tracking.gaussian import innovations, variances
 from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.parameters import CommonParameters
 from swarmtrack.tracking.priors import (
@@ -20,6 +20,7 @@ from swarmtrack.tracking.priors import (
     DOUBTFUL_COAST_SHARE,
     FADED_BIRTH_SHARE,
     FRAME_TIME_ROUNDING_S,
+    HIDDEN_MOST_SIGMA_RAD,
     INDEPENDENT_LOOK_S,
     LIKENESS_MEMORY_LOOKS,
     LIKENESS_SIGMA_LOG_ODDS,
@@ -48,6 +49,7 @@ class Population:
         self._gate = gate_threshold(parameters.gate_probability)
         self._ids = ids
         self._excused_at = math.inf  # s: time of the last `excuse`
+        self._judged_at = math.inf  # s: time of the last `update_status`
 
     def initiate(self, t: float, points: Array) -> list[int]:
         """Confirmed tracks at known places (n, 2) px. Returns their ids."""
@@ -98,8 +100,10 @@ class Population:
         table.looks[rows], table.looked[rows] = looks + new, t
 
     def update_status(self, t: float, seen: NDArray[np.bool_], visibility: Visibility) -> None:
-        """After a scan at t that saw these rows (n,) and has reweighed existence: who is confirmed, who is lost."""
+        """After a scan at t that saw these rows (n,) and has reweighed existence: who is confirmed, who is lost. Time
+        out of view is not counted as time without detections."""
         table = self.table
+        dt, self._judged_at = max(t - self._judged_at, 0.0), t
         is_drone = table.likeness >= LIKENESS_SIGMA_LOG_ODDS / np.sqrt(table.looks)
         table.confirmed |= is_drone & (table.existence >= self._parameters.confirm_probability)
         floor = np.where(table.confirmed, MIN_CONFIRMED_EXISTENCE, 0.0)
@@ -110,7 +114,9 @@ class Population:
         )
         table.last_seen = np.where(seen, np.maximum(table.last_seen, confident), table.last_seen)
         table.missed_since = np.where(seen, np.nan, np.fmin(table.missed_since, t))
-        table.lost = ~seen & ((table.existence < LOST_BELOW_EXISTENCE) | (visibility.in_view < 0.5))
+        unseeable = ~seen & (visibility.in_view < 0.5)
+        table.lost = ~seen & (table.existence < LOST_BELOW_EXISTENCE) | unseeable
+        table.last_seen = np.where(unseeable & table.confirmed, table.last_seen + dt, table.last_seen)
 
     def credit(self, t: float, made: Array) -> None:
         """Extend the life of confirmed tracks that very likely made a detection, after `update_status`.
@@ -146,8 +152,8 @@ class Population:
         return np.minimum(hidden / (1.0 - p_detection * (1.0 - hidden)), MOST_HIDDEN_SHARE)
 
     def drop(self, t: float) -> NDArray[np.bool_] | None:
-        """End the tracks that were not seen for too long, that have faded, that the camera turned away from, or that
-        may be anywhere; returns which (n,) stay, None if all do."""
+        """End the tracks that were not seen for too long although they should be in view, that have faded, whose
+        direction is no longer known, or that the image plane cannot hold; returns which (n,) stay, None if all do."""
         table, longest = self.table, self._parameters.max_coast_s - FRAME_TIME_ROUNDING_S
         faded = FADED_BIRTH_SHARE * self._sensor.usual_birth
         # Lists: of a few tracks, an array costs more for each question than for all answers.
@@ -155,13 +161,27 @@ class Population:
             t - seen < longest and existence >= faded
             for seen, existence in zip(table.last_seen.tolist(), table.existence.tolist(), strict=True)
         ]
-        if all(alive) and self._reach.surely_holds_all(table.mean, table.cov):
+        vague = self._vague(t) if table.lost.any() else None
+        if vague is None and all(alive) and self._reach.surely_holds_all(table.mean, table.cov):
             return None
         stay = np.array(alive, dtype=np.bool_) & self._reach.holds(table.mean, table.cov)
+        if vague is not None:
+            stay &= ~vague
         if stay.all():
             return None
         table.keep(stay)
         return stay
+
+    def _vague(self, t: float) -> NDArray[np.bool_]:
+        """(n,) tracks that are out of view for longer than `max_coast_s`, and in no known direction."""
+        table, camera = self.table, self._sensor.camera
+        focal = camera.per_radian(table.mean[:, POSITION])
+        sigma = np.sqrt(variances(table.cov)[:, POSITION]) / focal
+        return np.asarray(
+            is_gone(table)
+            & (t - table.missed_since >= self._parameters.max_coast_s)
+            & (sigma.max(axis=1) > HIDDEN_MOST_SIGMA_RAD)
+        )
 
     def release(self, rows: NDArray[np.bool_], dt: float) -> TrackTable:
         """These rows (n,), which go to another table, dt seconds later, or earlier: what they have survived of that
@@ -183,12 +203,18 @@ class Population:
             distance, _ = innovations(table.mean[startled], table.cov[startled], z, measured.R)
             outlying = np.asarray((distance < OUTLYING_GATES * self._gate).any(axis=0))
         # Also of a track that was just lost: a box that jumps within itself is around a part of the drone.
-        jumped = table.confirmed & ~seen & (t - table.last_seen < BOX_JUMP_S)
+        lost_at = np.fmin(table.last_seen, table.missed_since)  # the former goes on while it is out of view
+        jumped = table.confirmed & ~seen & (t - lost_at < BOX_JUMP_S)
         unknown = UNKNOWN_BOX_SIGMAS * self._parameters.measurement_sigma
         side = np.where(np.isnan(table.size), np.where(jumped, 0.0, unknown)[:, None], table.size)
         near = np.flatnonzero((seen & table.confirmed) | jumped)
         inside = np.abs(z[None] - table.mean[near][:, None, POSITION]) < 0.5 * side[near][:, None]
         return np.asarray(outlying | inside.all(axis=2).any(axis=0))
+
+
+def is_gone(table: TrackTable) -> NDArray[np.bool_]:
+    """(n,) confirmed tracks that are lost because they are out of the picture."""
+    return np.asarray(table.lost & table.confirmed & (table.existence >= LOST_BELOW_EXISTENCE))
 
 
 def blend_sizes(old: Array, new: Array, believed: float | Array = 1.0) -> Array:

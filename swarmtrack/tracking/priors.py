@@ -61,6 +61,12 @@ UNDETECTED_DOUBT_GAIN = 10.0
 MOST_HIDDEN_SHARE = 2.0 / 3.0
 # A probability of being in view that is as good as none.
 OUT_OF_VIEW_PROBABILITY = 1e-9
+# Of the direction of a track that is out of view: about the whole view of an ordinary lens. Beyond it, whatever comes
+# into view might be taken for it.
+HIDDEN_MOST_SIGMA_RAD = 0.7
+# Off the axis of an ordinary lens, from which on a track that is out of view is kept on the sphere, and within which it
+# is back in the tangent plane.
+HIDDEN_FROM_RAD, HIDDEN_UNTIL_RAD = math.radians(70.0), math.radians(65.0)
 # Share of its existence at birth, below which a tentative track ends.
 FADED_BIRTH_SHARE = 0.05
 

@@ -192,6 +192,7 @@ def test_the_gyro_keeps_a_turning_observer_s_tracks_where_the_drones_are(tmp_pat
     assert result["no_gyro_over_gyro"]["value"] > 8.0
     assert result["rmse_px"]["still"]["value"] > 1.0  # noise of 1.5 px, carried on for 0.15 to 0.3 s
     assert result["untracked_share"]["rotating"] < 0.05
+    assert all(row["ok"] for row in result["edge"].values())
 
 
 def test_a_seed_flies_the_same_flight_bit_for_bit():

@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmtrack.geometry import rotation
+from swarmtrack.messages import VisualTurn
 from swarmtrack.motion.gyro import GyroHistory
+from swarmtrack.motion.priors import UNKNOWN_ANGLE_VARIANCE_RAD2
 
 
 def filled(rate_at, *, hz=200.0, seconds=1.5, start=10.0, **parameters):
@@ -116,3 +118,70 @@ def test_without_a_gyro_the_camera_is_still_and_certain():
     turn = GyroHistory().rotation(1.0, 2.0)
     assert turn.matrix == pytest.approx(np.eye(3))
     assert turn.variance == 0.0
+
+
+# ── without a gyro: turns by images ──────────────────────────────────────────────────────────────────────────────────
+
+SEEN = 1e-7
+YAW = np.array([0.0, 0.1, 0.0])
+
+
+def seen(k, turn=YAW, variance=SEEN, hz=10.0):
+    return VisualTurn(10.0 + (k - 1) / hz, 10.0 + k / hz, np.asarray(turn), variance)
+
+
+def by_images(*turns):
+    history = GyroHistory()
+    for turn in turns:
+        history.add_visual_turn(turn)
+    return history
+
+
+def test_turns_by_images_add_up_and_so_do_their_variances():
+    turn = by_images(*(seen(k) for k in range(1, 6))).rotation(10.0, 10.5)
+    assert turn.matrix == pytest.approx(rotation.exp(-5.0 * YAW), abs=1e-4)
+    assert turn.variance == pytest.approx(5.0 * SEEN, rel=0.01)
+
+
+def test_between_two_images_the_camera_turns_steadily():
+    history = by_images(*(seen(k) for k in range(1, 6)))
+    assert history.rotation(10.2, 10.25).matrix == pytest.approx(rotation.exp(-0.5 * YAW), abs=1e-4)
+
+
+def test_images_that_show_nothing_leave_the_turn_to_its_rate_and_say_so():
+    known, unknown = (
+        [seen(1), seen(2)],
+        [seen(k, np.zeros(3), UNKNOWN_ANGLE_VARIANCE_RAD2) for k in (3, 4, 5)],
+    )
+    history = by_images(*known, *unknown)
+    turn = history.rotation(10.2, 10.5)
+    assert rotation.log(turn.matrix) == pytest.approx(-3.0 * YAW, rel=0.1, abs=1e-6)
+    assert turn.variance > 1e-3
+
+
+def test_a_gyro_is_not_overruled_but_one_that_contradicts_is_counted():
+    history = filled(lambda t: (0.0, 1.0, 0.0))
+    before = history.rotation(10.0, 11.0)
+    history.add_visual_turn(VisualTurn(10.0, 10.1, YAW, SEEN))
+    assert history.counters["visual_turns_contradicted"] == 0
+    history.add_visual_turn(VisualTurn(10.1, 10.2, -YAW, SEEN))
+    assert history.counters["visual_turns_contradicted"] == 1
+    assert history.rotation(10.0, 11.0).matrix == pytest.approx(before.matrix, abs=0.0)
+
+
+def test_where_the_gyro_falls_silent_images_go_on():
+    history = filled(lambda t: (0.0, 1.0, 0.0), seconds=0.5)
+    for k in range(6, 10):
+        history.add_visual_turn(seen(k))
+    turn = history.rotation(10.0, 10.9)
+    assert turn.matrix == pytest.approx(rotation.exp(-9.0 * YAW), abs=1e-3)
+    assert history.counters["visual_turns"] == 4
+    # And back again.
+    history.append(10.95, (0.0, 1.0, 0.0))
+    assert history.rotation(10.0, 10.95).matrix == pytest.approx(rotation.exp(-9.5 * YAW), abs=1e-2)
+
+
+@pytest.mark.parametrize(("since", "t", "variance"), [(1.0, 1.0, 1.0), (1.0, 2.0, 0.0), (1.0, 2.0, math.nan)])
+def test_a_turn_that_is_none_is_refused_at_birth(since, t, variance):
+    with pytest.raises(ValueError, match="VisualTurn"):
+        VisualTurn(since, t, np.zeros(3), variance)

@@ -48,6 +48,7 @@ from swarmtrack.messages import (
     StrangerRay,
     StrangerReport,
     TrackList,
+    VisualTurn,
 )
 from swarmtrack.recording import inputs, outputs
 from swarmtrack.recording.info import summarise
@@ -106,6 +107,7 @@ EVENTS = [
     ),
     AgreedMotion(2, np.array([-0.1, 0.3]), np.array([AWKWARD[:3], AWKWARD[1:4]]), planned=True),
     AgreedMotion(2, np.array([-0.1, 0.3]), np.array([AWKWARD[:3], AWKWARD[1:4]]), planned=False, tried=True),
+    VisualTurn(0.1, 0.1 + 0.2, np.array(AWKWARD[:3]), 1 / 3),
     SightingReport(2, "0123abcd", 10, 5.6, 0.01, np.zeros(3), 0.1, (), ()),
 ]  # fmt: skip
 
