@@ -15,6 +15,7 @@ from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Announcement, Array, MotionReport, RelativeState, SightingReport
+from swarmtrack.motion.carried_place import CarriedPlace
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.motion.gyro import Orientation
 from swarmtrack.motion.gyro_bias import KnownGyroBias
@@ -104,6 +105,8 @@ class HealthView(CamerasView, Protocol):
     def gyro_bias(self) -> KnownGyroBias: ...
     @property
     def self_doubt(self) -> bool: ...
+    @property
+    def carried(self) -> CarriedPlace | None: ...
     @property
     def counters(self) -> Counters: ...
     @property

@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from swarmtrack.autopilot.notices import Severity
+from swarmtrack.carried.own_place import CarriedNews
 from swarmtrack.clock import UTC_SIGMA, Clock
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
@@ -275,6 +276,10 @@ class Teamwork:
     def on_frame(self, news: FrameNews) -> None:
         """A teammate's start is not where it was announced, or is after all."""
         self._note(news.drone_id, describe(news), logging.WARNING)
+
+    def on_carried(self, news: CarriedNews) -> None:
+        """Our autopilot has no position, or a wrong one: who holds us, if anybody does; or it counts again."""
+        self._note(self._drone_id, describe(news), logging.WARNING)
 
     def on_range_news(self, news: RangeNews) -> None:
         """The distances that our ranging radio measures do not fit what we see, or do again."""
