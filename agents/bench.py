@@ -21,6 +21,10 @@ BENCHMARKS = {
         "swarmtrack.benchmarks.calibration",
         "errors of calibrations by hand and by board",
     ),
+    "carried": (
+        "swarmtrack.benchmarks.carried",
+        "own place by teammates: without a position, with one that drifts or is spoofed, with a liar",
+    ),
     "clients": (
         "swarmtrack.benchmarks.hundred_clients",
         "time until all announcements are known, up to 100 drones",

@@ -482,6 +482,7 @@ class SightingReport:
 
     t: exposure, on *our* monotonic clock (converted by the transport), t_sigma its uncertainty; position (3,) m of the
     observer's camera in the team frame, position_sigma per axis. known: whose announcements the observer has.
+    leans_on: of an observer that its teammates carry, those on whom its position rests.
     """
 
     observer: int
@@ -493,6 +494,7 @@ class SightingReport:
     position_sigma: float
     known: tuple[int, ...]
     sightings: tuple[Sighting, ...]
+    leans_on: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         _hold(self, "position", (3,))

@@ -21,6 +21,7 @@ from swarmtrack.cameras.picture_turn import MountingNews, PictureTurns
 from swarmtrack.cameras.rig import NOTHING_EXPECTED, ExpectedTracks, Rig, RigCamera
 from swarmtrack.cameras.seams import SeamNews
 from swarmtrack.cameras.stuck import StuckCameras
+from swarmtrack.carried.own_place import CarriedNews, OwnPlace
 from swarmtrack.formation.own_flight import OwnFlightRecord
 from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
@@ -59,6 +60,7 @@ from swarmtrack.messages import (
     TrackList,
     VisualTurn,
 )
+from swarmtrack.motion.carried_place import CarriedPlace
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
 from swarmtrack.motion.ground_heights import GroundHeightNews, GroundHeights
@@ -100,6 +102,7 @@ Output = (
     | SeamNews
     | MountingNews
     | RemoteIdNews
+    | CarriedNews
 )
 
 
@@ -183,6 +186,12 @@ class Onboard:
             places_anybody=places_anybody,
         )
         self._strangers = Strangers(drone_id, relative or RelativeParameters(), cameras=measuring)
+        self._own_place = OwnPlace(
+            drone_id,
+            relative or RelativeParameters(),
+            cameras=[each.body_from_camera.position for each in cameras],
+            start_sigma_m=start_sigma_m,
+        )
         self._events: list[Output] = []
 
     def tell(self, event: Input) -> None:
@@ -237,6 +246,7 @@ class Onboard:
             case Announcement():
                 if self._identities.announce(event):
                     self._metres.announce(event)
+                    self._own_place.announce(event)
                     self._ground_heights.hear(event)
                 else:
                     self.counters.announcements_refused += 1
@@ -245,6 +255,7 @@ class Onboard:
                 if isinstance(event, IdClash | PeerExpelled):
                     self._metres.forget(event.drone_id)
                     self._strangers.forget(event.drone_id)
+                    self._own_place.forget(event.drone_id)
             case AutopilotRebooted():
                 self._ego.restart()
                 self._bias.restart()
@@ -325,6 +336,11 @@ class Onboard:
         )
 
     @property
+    def carried(self) -> CarriedPlace | None:
+        """Where this drone is by its teammates; None where its autopilot's position counts."""
+        return self._ego.carried
+
+    @property
     def team_from_local(self) -> Array:
         """(3, 3): from the axes of the autopilot's local frame to the team's."""
         return self._ego.team_from_local
@@ -353,7 +369,7 @@ class Onboard:
         """What its parts refused or had to mend."""
         parts = (
             self._rig, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus, self._metres,
-            self._strangers,
+            self._strangers, self._own_place,
         )  # fmt: skip
         return {name: count for part in parts for name, count in part.counters.items()}
 
@@ -388,6 +404,7 @@ class Onboard:
     def _compare(self, report: SightingReport) -> None:
         """Whom a teammate sees, and where it stands: do we see the same, and in which frame is that?"""
         self._events += self._consensus.compare(report)
+        self._own_place.hear(report)
         news = self._metres.hear_sightings(report, self._identities.frame)
         self._events += [] if news is None else [news]
 
@@ -404,6 +421,7 @@ class Onboard:
         labelled = self._labelled(tracks)
         if own is not None:
             labelled = self._metres.observe(labelled, scan, own, number)
+            self._locate(t, number)
             if self._stuck.is_live(number, t):
                 scanned = ScannedTracks(labelled, scan, number, self._identities.p_none())
                 self._events += self._strangers.observe(scanned, self._stated(own), self._view)
@@ -454,9 +472,25 @@ class Onboard:
             self._events.append(DoubtNews(own.t, self.self_doubt, self._identities.fault))
         # A picture that has been the same for long does not show where anybody is now.
         seen = self._identities.sightings(own.t) if self._stuck.is_live(number, own.t) else []
-        self._view = OwnView.of(self._stated(own), self.cameras[number].body_from_camera, seen)
+        leans_on = self.carried.leans_on if self.carried else ()
+        self._view = OwnView.of(self._stated(own), self.cameras[number].body_from_camera, seen, leans_on)
         self._consensus.remember(self._view)
         return wanted
+
+    def _locate(self, t: float, number: int) -> None:
+        """Where this drone is by its teammates, after a look of a camera at t."""
+        stated, look = self._ego.stated(t), self._metres.look
+        if not isinstance(self._identities, Identities) or stated is None or look is None:
+            return
+        if not self._ego.may_be_carried:
+            return
+        was_suspect = self._own_place.is_suspect
+        self._own_place.observe(look, number, stated, self._ego.newest_t, self._identities)
+        if self._own_place.is_suspect and not was_suspect:
+            self._identities.doubt_origin(self._own_place.off_m)
+        self._ego.carried = self._own_place.carried(t)
+        news = self._own_place.news(t)
+        self._events += [] if news is None else [news]
 
     def _watch_mounting(self, number: int, scan: Scan, orientation: Orientation) -> None:
         """Is a camera mounted as configured? A target in one that is not is elsewhere than it seems."""

@@ -22,6 +22,7 @@ from swarmtrack.messages import (
     SightingReport,
     StrangerReport,
 )
+from swarmtrack.motion.carried_place import CarriedPlace
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.motion.gyro import Orientation
 from swarmtrack.motion.gyro_bias import KnownGyroBias
@@ -111,6 +112,8 @@ class HealthView(CamerasView, Protocol):
     def gyro_bias(self) -> KnownGyroBias: ...
     @property
     def self_doubt(self) -> bool: ...
+    @property
+    def carried(self) -> CarriedPlace | None: ...
     @property
     def counters(self) -> Counters: ...
     @property

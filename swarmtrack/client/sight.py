@@ -150,6 +150,11 @@ class DroneHealth:
         return self.message.readiness is not None and self.message.readiness.ready
 
     @property
+    def held_by(self) -> tuple[int, ...] | None:
+        """The teammates that carry it, whose autopilot has no position or a wrong one; None where that counts."""
+        return None if self.message.carried is None else self.message.carried.by
+
+    @property
     def reasons(self) -> tuple[str, ...]:
         """Why it is not ready, for people."""
         return () if self.message.readiness is None else self.message.readiness.reasons

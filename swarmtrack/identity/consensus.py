@@ -49,7 +49,7 @@ class Disagreement(NamedTuple):
 @dataclass(frozen=True, slots=True, eq=False)
 class OwnView:
     """What this drone saw in one scan: position (3,) m of its camera, and its sightings by drone. t_sigma [s]: of when
-    it was there, by its autopilot's clock.
+    it was there, by its autopilot's clock. leans_on: on whom its position rests, where teammates carry it.
     """
 
     t: float
@@ -57,10 +57,15 @@ class OwnView:
     position_sigma: float
     sightings: dict[int, Sighting]
     t_sigma: float = 0.0
+    leans_on: tuple[int, ...] = ()
 
     @classmethod
     def of(
-        cls, observer: TeamPose, body_from_camera: Pose, seen: Iterable[tuple[LastSeen, float]]
+        cls,
+        observer: TeamPose,
+        body_from_camera: Pose,
+        seen: Iterable[tuple[LastSeen, float]],
+        leans_on: tuple[int, ...] = (),
     ) -> OwnView:
         """seen: the rays to identified drones and how surely it is they; of none who does not know where it looks."""
         sightings = {
@@ -71,7 +76,7 @@ class OwnView:
             if observer.attitude_sigma < LOST_ATTITUDE
         }
         position = observer.position + observer.world_from_body @ body_from_camera.position
-        return cls(observer.t, position, observer.position_sigma, sightings, observer.t_sigma)
+        return cls(observer.t, position, observer.position_sigma, sightings, observer.t_sigma, leans_on)
 
     def report(self, drone_id: int, boot: str, sequence: int, known: Iterable[int]) -> SightingReport:
         """The same as its team hears it. known: whose announcements the drone has."""
@@ -85,6 +90,7 @@ class OwnView:
             position_sigma=self.position_sigma,
             known=tuple(sorted(known)),
             sightings=tuple(self.sightings.values()),
+            leans_on=self.leans_on,
         )
 
 

@@ -23,6 +23,7 @@ from swarmtrack.monitor.drone_cameras import CameraView, DroneCameras, ViewKey
 from swarmtrack.monitor.metres import MAPPED, metres, strangers
 from swarmtrack.monitor.verdict import Reports, TeamVerdict
 from swarmtrack.outputs.flight_end import FlightEnd
+from swarmtrack.outputs.wording import held_in_words
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
 from swarmtrack.transport.limits import REPORTED_CLOCKS_AGREE_S
@@ -617,6 +618,9 @@ def troubles(health: HealthMessage | None) -> list[str]:
         elif imu.got_hz < SLOW * imu.asked_hz:
             # How many is in the table: a line of events for each number would be too much.
             found.append("gets too few IMU samples")
+    if health.carried is not None:
+        # How well it is known is no line of events for each number.
+        found.append(f"is {held_in_words(health.carried.by, math.ceil(health.carried.sigma_m))}")
     if health.noise is not None and health.noise.found:
         found.append(f"reports: {health.noise.found}")
     detections = health.rates.get("detections")

@@ -12,6 +12,7 @@ import numpy as np
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, EgoPose, FlightState, MotionReport
+from swarmtrack.motion.carried_place import CarriedPlace
 from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
 from swarmtrack.motion.leap import has_leapt
 from swarmtrack.motion.priors import (
@@ -36,7 +37,7 @@ class TeamPose:
     """This drone in the team frame at t: position (3,) m, world_from_body (3, 3).
 
     position_cov (3, 3) m²; attitude_cov (3, 3) rad², of a small turn about the team's axes: the third is the heading's.
-    t_sigma [s]: standard deviation of when it was there.
+    t_sigma [s]: standard deviation of when it was there. is_carried: the position is by its teammates.
     """
 
     t: float
@@ -45,6 +46,7 @@ class TeamPose:
     position_cov: Array
     attitude_cov: Array
     t_sigma: float = 0.0
+    is_carried: bool = False
 
     @property
     def pose(self) -> Pose:
@@ -150,6 +152,8 @@ class EgoHistory:
         self._poses: list[TeamPose] = []
         self._newest_velocity: tuple[Array, Array] | None = None
         """At the newest pose; None: not asked for since that came."""
+        self.carried: CarriedPlace | None = None
+        """Where the drone is by its teammates; None: where its autopilot says."""
 
     @property
     def counters(self) -> dict[str, int]:
@@ -165,6 +169,11 @@ class EgoHistory:
     def newest_t(self) -> float | None:
         """When the newest pose held whose place the autopilot knew, s."""
         return None if self._placed is None else self._placed.t
+
+    @property
+    def may_be_carried(self) -> bool:
+        """Whether teammates may tell where this drone is: it has an autopilot, which once knew a position, or flies."""
+        return bool(self._poses) and (self._placed is not None or not self.heading.is_on_ground)
 
     @property
     def team_from_local(self) -> Array:
@@ -240,7 +249,18 @@ class EgoHistory:
         return self.at(pose.t) if stands else None
 
     def at(self, t: float) -> TeamPose | None:
-        """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings."""
+        """The pose at t: interpolated, or the nearest one with the uncertainty that its age brings; of a carried drone
+        at the place where its teammates see it."""
+        return self._carried(self._stated(t))
+
+    def _carried(self, pose: TeamPose | None) -> TeamPose | None:
+        if pose is None or self.carried is None:
+            return pose
+        position, cov = self.carried.at(pose.t)
+        return replace(pose, position=position, position_cov=cov, is_carried=True)
+
+    def _stated(self, t: float) -> TeamPose | None:
+        """`at`, by the autopilot alone."""
         if not self._poses:
             if self.start is None:
                 return None
@@ -277,7 +297,11 @@ class EgoHistory:
         through those around it, or through the newest, where that is steadier than a single pose: after a gap there are
         too few for a line. A comparison of positions within one second mistakes the jitter for motion.
         """
-        pose, line = self.at(t), self._line_around(t)
+        return self._carried(self.stated(t))
+
+    def stated(self, t: float) -> TeamPose | None:
+        """`steady`, by the autopilot alone."""
+        pose, line = self._stated(t), self._line_around(t)
         if pose is None or line is None:
             return pose
         if line.leverage(t) > 1.0:
@@ -293,6 +317,9 @@ class EgoHistory:
         As of the middle of the last `EGO_VELOCITY_SPAN_S` of poses: their difference is the velocity of that time.
         """
         if self._placed is None or self._poses[-1].t - self._poses[0].t < EGO_VELOCITY_SPAN_S:
+            return None
+        if self.carried is not None:
+            # Its velocity rests on what teammates said: from it they would learn nothing.
             return None
         newest = self._poses[-1]
         if newest.t - self._placed.t > EGO_VELOCITY_SPAN_S:
@@ -316,6 +343,8 @@ class EgoHistory:
 
     def velocity(self, t: float) -> tuple[Array, Array]:
         """How this drone itself moves at t: (3,) m/s in the team frame, and its covariance (3, 3)."""
+        if self.carried is not None:
+            return self.carried.velocity, self.carried.cov[3:, 3:]
         line = self._line_around(t)
         if line is None:
             return np.zeros(3), EGO_SPEED_SIGMA_M_S**2 * np.eye(3)
@@ -326,7 +355,8 @@ class EgoHistory:
         """What came after the newest pose: the way from there to t, straight on (3,) m; and `velocity` at t. No way
         where t is within the history."""
         ahead = t - self._poses[-1].t if self._poses else 0.0
-        if ahead <= 0.0:
+        if ahead <= 0.0 or self.carried is not None:
+            # A carried place is carried on with its velocity already.
             return np.zeros(3), *self.velocity(t)
         if self._newest_velocity is None:
             self._newest_velocity = self.velocity(self._poses[-1].t)

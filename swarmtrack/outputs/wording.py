@@ -6,11 +6,13 @@ People count cameras from 1.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from swarmtrack.cameras.picture_turn import MountingNews
 from swarmtrack.cameras.seams import SeamNews
+from swarmtrack.carried.own_place import CarriedNews
 from swarmtrack.diagnosis.readiness import SELF_DOUBT
 from swarmtrack.geometry import rotation
 from swarmtrack.identity.consensus import Disagreement
@@ -53,6 +55,7 @@ News = (
     | SeamNews
     | MountingNews
     | RemoteIdNews
+    | CarriedNews
 )
 
 
@@ -66,6 +69,15 @@ def place_in_words(state: RelativeState) -> str:
     height = f"{abs(down):.0f} m {'down' if down > 0.0 else 'up'}"
     ahead = f"{math.hypot(north, east):.0f} m {COMPASS_INITIALS[side]}"
     return f"drone {state.drone_id}: {ahead}, {height}, ±{math.ceil(sigma)} m"
+
+
+def held_in_words(by: Sequence[int], sigma_m: float) -> str:
+    """`held by 1 and 3, ±0.4 m`: on whom the position of a drone rests that its teammates carry."""
+    if not by:
+        return f"held by nobody, ±{sigma_m:.0f} m and growing: only what is relative counts"
+    *others, last = map(str, by)
+    who = f"{', '.join(others)} and {last}" if others else last
+    return f"held by {who}, ±{sigma_m:.1f} m"
 
 
 def fault_in_words(fault: OwnFault) -> str:
@@ -141,6 +153,11 @@ def describe(news: News) -> str:
             return f"the Remote ID of {news.uas_id!r} is false: {where}"
         case RemoteIdNews():
             return f"stranger {news.number} is {news.uas_id!r} by Remote ID"
+        case CarriedNews(by=None):
+            return "our autopilot's position counts again"
+        case CarriedNews():
+            of_autopilot = "has none" if news.off_m is None else f"is {news.off_m:.1f} m off"
+            return f"our position: our autopilot {of_autopilot}, {held_in_words(news.by or (), news.sigma_m)}"
         case SeamNews():
             return _describe_seam(news)
         case MountingNews():

@@ -193,6 +193,7 @@ FORMS: tuple[Form, ...] = (
             Entry("position_sigma", "position_sigma_m"),
             Entry("known", "known", type="integers"),
             Entry("sightings", "sightings", form=_SIGHTING),
+            Entry("leans_on", "leans_on", type="integers", added=True, sparse=True),
         ),
     ),
     Form(

@@ -75,6 +75,8 @@ class Metres:
         self._frames = Frames(parameters.turn_sigma)
         self._range_watch = RangeWatch()
         self._said_heights = SaidHeights()
+        self.look: TeamLook | None = None
+        """The last one, of named teammates."""
         self.height_sights: tuple[HeightSight, ...] = ()
         """Of the last scan, where `places_anybody`: reported heights against the camera's."""
 
@@ -88,7 +90,7 @@ class Metres:
     def announce(self, announcement: Announcement) -> None:
         """A teammate's pose that is news."""
         self._frames.announce(announcement)
-        if self._frames.transform(announcement.drone_id) is None:
+        if self._frames.transform(announcement.drone_id) is None and self._ego.carried is None:
             self._teammates.hear_announcement(announcement)
 
     def forget(self, drone_id: int) -> None:
@@ -110,7 +112,10 @@ class Metres:
         news = self._frames.judge(report, frame)
         if news is not None:
             self._teammates.reset(report.observer)
-        self._teammates.hear_sightings(*self._frames.report_in_ours(report))
+        if self._drone_id not in report.leans_on:
+            # Of a carried drone the own place is off as well.
+            own = 0.0 if self._ego.carried is None else self._ego.carried.sigma_m**2
+            self._teammates.hear_sightings(*self._frames.report_in_ours(report), own_var=own)
         return news
 
     def hear_range(self, report: RangeReport) -> RangeNews | None:
@@ -142,7 +147,7 @@ class Metres:
             self._anybody.observe(nameless)
             named = {entry.track.id for entry in tracks if isinstance(entry.identity, int)}
             self._far_off.observe(nameless.without(named))
-        look = looked(named_boxes(tracks, scan, R, number))
+        self.look = look = looked(named_boxes(tracks, scan, R, number))
         self._teammates.observe(look)
         first = observer.pose @ self._cameras[0].body_from_camera
         own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))

@@ -380,15 +380,18 @@ class RelativeStates:
 
         return self._fold(said.other, said.t, "range", measured)
 
-    def hear_sightings(self, said: SightingReport, lasting: float | None = None) -> None:
+    def hear_sightings(
+        self, said: SightingReport, lasting: float | None = None, *, own_var: float = 0.0
+    ) -> None:
         """Where a teammate says it is, and on which rays it sees others. lasting: variance per axis of its frame, m²;
-        None: as announced."""
-        if said.position_sigma > VAGUE_PLACE_SIGMA_M:
+        None: as announced. own_var: m², of the own place."""
+        if math.hypot(said.position_sigma, math.sqrt(own_var)) > VAGUE_PLACE_SIGMA_M:
             return
         drone = said.observer
         known = self._said.get(drone)
         if lasting is None:
             lasting = UNREPORTED_PLACE_SIGMA_M**2 if known is None else known.lasting
+        lasting += own_var
         self._hear_place(drone, _SaidPlace(said.t, said.position, lasting, "pose"), said.t_sigma)
         for seen in said.sightings:
             if seen.probability < SURE_SIGHTING_PROBABILITY or self._row(seen.drone_id) is None:

@@ -14,6 +14,7 @@ from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.notices import Severity
 from swarmtrack.cameras.picture_turn import MountingNews
 from swarmtrack.cameras.seams import SeamNews
+from swarmtrack.carried.own_place import CarriedNews
 from swarmtrack.config.toml.sections import key_text
 from swarmtrack.detection.expectation import PerceivedExpectation
 from swarmtrack.identity.consensus import Disagreement
@@ -359,6 +360,8 @@ class Agent:
                     self._team.on_ground_height(event)
                 case DoubtNews():
                     self._team.on_doubt(event)
+                case CarriedNews():
+                    self._team.on_carried(event)
                 case SeamNews():
                     self._warn(describe(event))
                 case MountingNews():

@@ -18,6 +18,7 @@ from swarmtrack.perceived import HealthView
 from swarmtrack.runtime.meters import LatencyMeter, ProcessMeter, RateMeter
 from swarmtrack.wire.fields import WIRE_VERSION
 from swarmtrack.wire.health import (
+    CarriedHealth,
     ConsistencyHealth,
     GyroBiasHealth,
     HealthMessage,
@@ -29,6 +30,7 @@ from swarmtrack.wire.health import (
     health_line,
     link_health,
 )
+from swarmtrack.wire.sightings import NOWHERE_SIGMA_M
 
 HEALTH_EVENTS_KEPT = 16
 # Messages in a row, one a second, in which the tracks misjudge themselves, from which on it is said.
@@ -160,6 +162,11 @@ class Health:
         known += [("noise", noise.detections)] if noise else []
         return [("stale_frames", self._stale_of[number]), ("time_offset_used_s", clock.used_s), *known]
 
+    @property
+    def carried(self) -> CarriedHealth | None:
+        """Holders of this drone's position where its autopilot does not know it; else None."""
+        return _carried(self._perceived)
+
     def on_detections(self, camera: int) -> None:
         """A frame of a camera went through the detector."""
         self._scans_of[camera].tick()
@@ -259,6 +266,7 @@ class Health:
             consistency=consistency and ConsistencyHealth(*consistency),
             readiness=ReadinessHealth(readiness.ready, tuple(map(health_line, readiness.reasons))),
             noise=self._noise(),
+            carried=_carried(perceived),
         )
 
     def _noise(self) -> NoiseHealth | None:
@@ -284,6 +292,13 @@ class Health:
         return NoiseHealth(
             noise and noise.detections, noise and noise.motion, health_line(found), health_line(remedy)
         )
+
+
+def _carried(perceived: HealthView) -> CarriedHealth | None:
+    found = perceived.carried
+    if found is None:
+        return None
+    return CarriedHealth(found.by, min(found.sigma_m, NOWHERE_SIGMA_M), found.off_m)
 
 
 def _time_offset(perceived: HealthView) -> TimeOffsetHealth:

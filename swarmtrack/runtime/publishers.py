@@ -15,6 +15,7 @@ from swarmtrack.messages import LinkStatus
 from swarmtrack.outputs import periods
 from swarmtrack.outputs.console import Console
 from swarmtrack.outputs.pilot_notices import PilotNotices
+from swarmtrack.outputs.wording import held_in_words
 from swarmtrack.runtime.door import Door
 from swarmtrack.runtime.health import Health
 from swarmtrack.runtime.health_file import HealthFile
@@ -222,4 +223,6 @@ class HealthPublisher:
         notes = [f"tracks {rates['tracks'].got_hz:.0f} Hz", f"camera{'s' * bool(each)} {seen} Hz"]
         if rates["imu"].asked_hz is not None:
             notes.append(f"gyro {rates['imu'].got_hz:.0f} Hz")
+        if (carried := self._health.carried) is not None:
+            notes.append(held_in_words(carried.by, carried.sigma_m))
         return notes + self._troubles.notes(self._health.links(), self._wall.now())

@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from swarmtrack.autopilot.notices import Severity
+from swarmtrack.carried.own_place import CarriedNews
 from swarmtrack.clock import UTC_SIGMA, Clock
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
@@ -298,6 +299,10 @@ class Teamwork:
     def on_remote_id(self, news: RemoteIdNews) -> None:
         """A claim by Remote ID fits a stranger, or is false."""
         self._note(0, describe(news), logging.WARNING if news.number is None else logging.INFO)
+
+    def on_carried(self, news: CarriedNews) -> None:
+        """Our autopilot has no position, or a wrong one: who holds us, if anybody does; or it counts again."""
+        self._note(self._drone_id, describe(news), logging.WARNING)
 
     def on_range_news(self, news: RangeNews) -> None:
         """The distances that our ranging radio measures do not fit what we see, or do again."""

@@ -35,6 +35,7 @@ from swarmtrack.messages import (
 )
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.team.mixture import OwnKnowledge
+from swarmtrack.team.own_errors import ConfigFault
 from swarmtrack.team.posterior import BearingScan, TeamPosterior
 from swarmtrack.team.priors import (
     ASK_AFTER_S,
@@ -54,6 +55,7 @@ from swarmtrack.team.priors import (
     SMALLEST_BOX_PX,
 )
 from swarmtrack.team.proof import PROOF_LASTS_S, proof_after
+from swarmtrack.team.reported_places import SaidPlace
 from swarmtrack.team.track_evidence import Bearing
 
 # s: what another camera saw so shortly before or after is part of what this drone sees now, until that camera looks
@@ -108,6 +110,10 @@ class Identities:
         """The probability of each kind of fault: `own_errors.ConfigFault`, by its words."""
         return {fault.value: p for fault, p in self._posterior.mixture.by_fault().items()}
 
+    def p_as_configured(self) -> float:
+        """The probability that nothing about this drone, or the team's pads, was wrong from the start."""
+        return self._posterior.mixture.by_fault()[ConfigFault.NONE]
+
     # --- what teammates say ---
 
     def announce(self, announcement: Announcement) -> bool:
@@ -149,6 +155,13 @@ class Identities:
             self._posterior.expel(drone)
         self._names = {id: name for id, name in self._names.items() if name[0] in self._posterior.teammates}
 
+    def said_place(self, drone_id: int, t: float) -> SaidPlace | None:
+        """Where a teammate says that it was at t [s]; None where it has said nothing of that time, or has no place."""
+        mate = self._posterior.teammates.get(drone_id)
+        if mate is None or not mate.knows_start or mate.doubting or mate.adrift.lost or not mate.knows(t):
+            return None
+        return mate.at(t)
+
     def frame(self, drone_id: int) -> FrameTransform | None:
         """How the frame of a teammate in view stands to that of the own rays; None where it is not in view."""
         return self._posterior.frame(drone_id)
@@ -165,6 +178,10 @@ class Identities:
         """This drone may be elsewhere than it thinks."""
         self._posterior.lose_place()
         self._strange_since = {}
+
+    def doubt_origin(self, sigma: float) -> None:
+        """This drone was within sigma [m per axis] of where it thought, in the scans that are not compared yet."""
+        self._posterior.doubt_origin(sigma)
 
     def autopilot_rebooted(self) -> None:
         """This drone goes on from where it was last, and that is not where it was meanwhile."""
@@ -340,12 +357,15 @@ class Identities:
 def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
     """The tracks that were detected, as bearings."""
     t = view.observer.t
+    origin_sigma = view.observer.position_sigma if view.observer.is_carried else 0.0
     detected = [
         track for track in shown if track.coasting_since is None and track.status is not TrackStatus.LOST
     ]
     missed = {track.id: track.coasting_since for track in shown if track.coasting_since is not None}
     if not detected:
-        return BearingScan(t, view.number, view.team_from_camera.position, {}, missed, view.observer.t_sigma)
+        return BearingScan(
+            t, view.number, view.team_from_camera.position, {}, missed, view.observer.t_sigma, origin_sigma
+        )
     pixel = np.array([track.mean[::2] for track in detected])
     focal = view.camera.per_radian(pixel)[..., 0]
     ray = view.rays(pixel)
@@ -366,4 +386,4 @@ def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
         )
         for i, track in enumerate(detected)
     }
-    return BearingScan(t, view.number, camera, bearings, missed, view.observer.t_sigma)
+    return BearingScan(t, view.number, camera, bearings, missed, view.observer.t_sigma, origin_sigma)

@@ -65,7 +65,8 @@ class BearingScan(NamedTuple):
     """The tracks that one camera detected at t [s], from origin (3,) m.
 
     bearings: by track; missed: the tracks that it shows and did not detect, by since when [s]. t_sigma [s]: of when
-    this drone was at the origin, by its autopilot's clock.
+    this drone was at the origin, by its autopilot's clock. origin_sigma [m per axis]: of where that is, where teammates
+    carry it.
     """
 
     t: float
@@ -74,6 +75,7 @@ class BearingScan(NamedTuple):
     bearings: Mapping[int, Bearing]
     missed: Mapping[int, float]
     t_sigma: float = 0.0
+    origin_sigma: float = 0.0
 
     def turned(self, forward: Array) -> BearingScan:
         """The same in axes that have turned: forward (3, 3) takes directions along."""
@@ -199,6 +201,10 @@ class TeamPosterior:
         self._tracks, self.named = {}, {}
         for mate in self.teammates.values():
             mate.seen = None
+
+    def doubt_origin(self, sigma: float) -> None:
+        """This drone was within sigma [m per axis] of where it thought, in the scans that are not compared yet."""
+        self._scans = [deque(scan._replace(origin_sigma=sigma) for scan in scans) for scans in self._scans]
 
     def lose_place(self) -> None:
         """This drone looked elsewhere than it thought: nothing that it saw says where anybody is."""
@@ -357,9 +363,10 @@ class TeamPosterior:
         """How far teammates may be from where they say, and this drone along its way: by their clocks and its own."""
         deviation = Deviation(*np.array([place[1:] for place in said]).T)
         before = next((kept for kept in reversed(self._scans[scan.camera]) if kept.t < scan.t), None)
-        if before is None or not scan.t_sigma:
+        if before is None or not (scan.t_sigma or scan.origin_sigma):
             return deviation
         late = scan.t_sigma * float(np.linalg.norm(scan.origin - before.origin)) / (scan.t - before.t)
+        late = math.hypot(late, scan.origin_sigma) if scan.origin_sigma else late
         lasts = deviation.sigma > 0.0
         return deviation._replace(
             sigma=np.where(lasts, np.hypot(deviation.sigma, late), 0.0),

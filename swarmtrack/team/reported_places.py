@@ -35,13 +35,15 @@ _CURVE_LEAST_S, _CURVE_MOST_S = 0.3, 2.5
 
 class Report(NamedTuple):
     """A place (3,) m in the teammate's own frame at t [s], and its velocity (3,) m/s where it is known; measured: that
-    it says both of them itself; t_sigma [s]."""
+    it says both of them itself; t_sigma [s]; sigma [m per axis]:
+    of a place that teammates carry."""
 
     t: float
     place: Array
     velocity: Array | None
     measured: bool = False
     t_sigma: float = 0.0
+    sigma: float = 0.0
 
 
 class SaidPlace(NamedTuple):
@@ -117,7 +119,8 @@ def _said(place: Array, white_sigma: float, report: Report) -> SaidPlace:
     speed = 0.0 if report.velocity is None else float(np.linalg.norm(report.velocity))
     late = report.t_sigma * speed
     if not report.measured or report.velocity is None:
-        return SaidPlace(place, 0.0, 1.0, REPORTED_PLACE_SIGMA_M**2 + white_sigma**2 + late**2)
+        white = REPORTED_PLACE_SIGMA_M**2 + white_sigma**2 + late**2
+        return SaidPlace(place, report.sigma, 1.0, white)
     sigma, bandwidth = MOTION_DEVIATION
     sigma = math.hypot(sigma, late)
     return SaidPlace(place, sigma, bandwidth, MOTION_WHITE_M**2 + white_sigma**2)

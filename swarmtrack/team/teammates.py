@@ -95,7 +95,8 @@ class Teammate:
         velocity, last = None, self.path.last
         if _VELOCITY_LEAST_S < report.t - last.t < _VELOCITY_MOST_S:
             velocity = (report.position - last.place) / (report.t - last.t)
-        self.path.append(Report(report.t, report.position, velocity, t_sigma=report.t_sigma))
+        sigma = report.position_sigma if report.leans_on else 0.0
+        self.path.append(Report(report.t, report.position, velocity, t_sigma=report.t_sigma, sigma=sigma))
 
     def move(self, report: MotionReport) -> None:
         """It says how it moves: its displacement is counted from one place as long as its process lives."""

@@ -21,7 +21,7 @@ from swarmtrack.wire import announcement, camera, motion, ranging, sightings, st
 from swarmtrack.wire.announcement import AnnouncementMessage
 from swarmtrack.wire.camera import CameraMessage
 from swarmtrack.wire.checks import DecodeError, is_finite
-from swarmtrack.wire.fields import MAX_MESSAGE_BYTES, WIRE_VERSION
+from swarmtrack.wire.fields import MAX_MESSAGE_BYTES, WIRE_VERSION, without_last
 from swarmtrack.wire.health import HealthMessage
 from swarmtrack.wire.motion import MotionMessage
 from swarmtrack.wire.ranging import RangeMessage
@@ -80,10 +80,19 @@ def encode(message: Message, *, short: bool = False) -> bytes:
         else:
             if isinstance(message, CameraMessage):
                 data = camera.shortened(data, message)
+            elif is_shorter(message):
+                data = without_last(data)
             decode(kind, data)
     except DecodeError as error:
         raise ValueError(str(error)) from None
     return data
+
+
+def is_shorter(message: Message) -> bool:
+    """Whether a message is sent without its last field, which older readers do not have."""
+    return (isinstance(message, SightingsMessage) and not message.leans_on) or (
+        isinstance(message, HealthMessage) and message.carried is None
+    )
 
 
 def decode(kind: type[AnyMessage], data: bytes) -> AnyMessage:

@@ -22,6 +22,8 @@ MAX_SIGHTINGS: Final = 255
 MAX_JPEG: Final = MAX_MESSAGE_BYTES - 512
 # As many drones as a transport remembers.
 MAX_KNOWN: Final = 1024
+# How arrays begin in MessagePack: of up to 15 elements, and of up to 65535.
+_ARRAY, _LONG_ARRAY = 0x90, 0xDC
 # Of Ed25519.
 SIGNATURE_BYTES: Final = 64
 
@@ -79,6 +81,15 @@ class PeerMessage(Record, frozen=True):
     sequence: Sequence
     t_utc_s: UtcSeconds
     t_sigma_s: Seconds
+
+
+def without_last(data: bytes) -> bytes:
+    """Bytes of a message without its last field, which is empty or null: of one byte."""
+    if data[0] == _LONG_ARRAY:
+        fields = int.from_bytes(data[1:3], "big") - 1
+        head = bytes([_ARRAY | fields]) if fields < 16 else bytes([_LONG_ARRAY]) + fields.to_bytes(2, "big")
+        return head + data[3:-1]
+    return bytes([data[0] - 1]) + data[1:-1]
 
 
 class MessageHeader(Protocol):

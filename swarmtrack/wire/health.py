@@ -12,8 +12,11 @@ from swarmtrack.plain_text import plain
 from swarmtrack.wire.fields import (
     LONGEST_LINE,
     LONGEST_NAME,
+    MAX_KNOWN,
     Boot,
     Count,
+    DroneId,
+    Length,
     Line,
     Name,
     Quantity,
@@ -98,11 +101,22 @@ class ReadinessHealth(Record, frozen=True):
     reasons: Annotated[tuple[Line, ...], Meta(max_length=16)]
 
 
+class CarriedHealth(Record, frozen=True):
+    """Position by teammates: holders, sigma of the worst axis, and the error of the autopilot's position (null: it has
+    none).
+    """
+
+    by: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_KNOWN)]
+    sigma_m: Length
+    off_m: Length | None
+
+
 class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
     """`health/<id>`: the state of an agent. clock_offset_s: ours minus the autopilot's, null without one.
 
     drops counts what was thrown away since the start, by place; events holds the last lines worth reading. It
-    may grow: what a reader misses at its end is null, and what it does not know there it leaves (decision 10).
+    may grow: what a reader misses at its end is null, and what it does not know there it leaves (decision 10). Without
+    `carried` that field is not on the wire.
     """
 
     what: ClassVar[str] = "health"
@@ -124,6 +138,7 @@ class HealthMessage(Record, frozen=True, forbid_unknown_fields=False):
     consistency: ConsistencyHealth | None = None
     readiness: ReadinessHealth | None = None
     noise: NoiseHealth | None = None
+    carried: CarriedHealth | None = None
 
 
 def link_health(status: LinkStatus) -> LinkHealth:

@@ -42,7 +42,8 @@ class SightingsMessage(PeerMessage, frozen=True):
     """`identities/<id>`: teammates in view of one drone and its camera's position at the exposure, `age_s` before
     sending.
 
-    sequence counts what this boot published; known: drones whose announcements the observer has.
+    sequence counts what this boot published; known: drones whose announcements the observer has; leans_on: those on
+    whom the position rests, where teammates carry the observer; else this field is not on the wire.
     """
 
     what: ClassVar[str] = "sightings"
@@ -51,6 +52,7 @@ class SightingsMessage(PeerMessage, frozen=True):
     position_sigma_m: Length
     known: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_KNOWN)]
     sightings: Annotated[tuple[SightingMessage, ...], Meta(max_length=MAX_SIGHTINGS)]
+    leans_on: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_KNOWN)] = ()
 
 
 def sightings_message(report: SightingReport, utc_offset: float, now: float) -> SightingsMessage:
@@ -66,6 +68,7 @@ def sightings_message(report: SightingReport, utc_offset: float, now: float) -> 
             SightingMessage(s.drone_id, float(s.probability), tuple(s.direction.tolist()), float(s.sigma))
             for s in r.sightings
         ),
+        leans_on=r.leans_on,
     )
 
 
@@ -84,7 +87,7 @@ def check(message: SightingsMessage) -> None:
     for sighting in message.sightings:
         check_unit("sightings: direction", sighting.direction, "a unit vector")
     seen = [sighting.drone_id for sighting in message.sightings]
-    for name, ids in (("sightings", seen), ("known", message.known)):
+    for name, ids in (("sightings", seen), ("known", message.known), ("leans_on", message.leans_on)):
         if len(set(ids)) < len(ids):
             raise DecodeError(f"sightings: {name}: names a drone twice, expected each once")
 
@@ -104,4 +107,5 @@ def report_from(message: SightingsMessage, t: float, t_sigma: float) -> Sighting
         sightings=tuple(
             Sighting(s.drone_id, s.probability, np.array(s.direction), s.sigma_rad) for s in m.sightings
         ),
+        leans_on=m.leans_on,
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from swarmtrack.cameras.picture_turn import MountingNews
 from swarmtrack.cameras.seams import FoundTurn, SeamNews
+from swarmtrack.carried.own_place import CarriedNews
 from swarmtrack.geometry import rotation
 from swarmtrack.outputs.wording import describe
 
@@ -41,3 +42,15 @@ def test_a_camera_whose_picture_turns_the_wrong_way_is_said_with_what_may_be_wro
     swapped = describe(MountingNews(9.0, 1, fits=False, like=0))
     assert "turns as camera 1 should: are their cables swapped?" in swapped
     assert "again" in describe(MountingNews(9.0, 1, fits=True, like=None))
+
+
+def test_a_carried_drone_is_said_with_its_holders_and_its_sigma():
+    assert describe(CarriedNews(9.0, (1, 3), 0.41)) == (
+        "our position: our autopilot has none, held by 1 and 3, ±0.4 m"
+    )
+    off = describe(CarriedNews(9.0, (2,), 0.2, 1.62))
+    assert off == "our position: our autopilot is 1.6 m off, held by 2, ±0.2 m"
+    assert "held by nobody, ±12 m and growing: only what is relative counts" in describe(
+        CarriedNews(9.0, (), 12.2)
+    )
+    assert describe(CarriedNews(9.0, None)) == "our autopilot's position counts again"

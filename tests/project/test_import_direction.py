@@ -26,7 +26,7 @@ LAYERS: list[set[str]] = [
     },
     {"geometry"},
     {"motion", "tracking", "identity", "relative", "formation", "team", "strangers"},
-    {"cameras"},
+    {"cameras", "carried"},
     {"onboard", "perceived", "follower"},
     {"wire", "security"},
     {"config"},
@@ -44,7 +44,7 @@ LAYERS: list[set[str]] = [
 LAYER = {name: depth for depth, names in enumerate(LAYERS) for name in names}
 CORE = {
     "errors", "messages", "plain_text", "geometry", "motion", "tracking", "identity", "relative", "team", "formation",
-    "strangers", "onboard", "perceived", "follower",
+    "strangers", "carried", "onboard", "perceived", "follower",
 }  # fmt: skip
 # What judges and says, and touches nothing: facts in, sentences out.
 JUDGES = {"diagnosis", "lab.score", "monitor.verdict", "monitor.team", "monitor.timeline"}

@@ -61,6 +61,7 @@ from swarmtrack.wire.checks import DecodeError
 from swarmtrack.wire.codec import Message
 from swarmtrack.wire.fields import MAX_JPEG, MAX_KNOWN, MAX_MESSAGE_BYTES, MAX_SIGHTINGS
 from swarmtrack.wire.health import (
+    CarriedHealth,
     ConsistencyHealth,
     GyroBiasHealth,
     HealthMessage,
@@ -345,11 +346,26 @@ def test_plain_msgpack_reads_every_message_by_position() -> None:
     assert health[10] == [["camera", True, "30 fps", {"fps": 30.0}]]
 
 
+def test_who_is_carried_is_on_the_wire_only_where_somebody_is() -> None:
+    plain = codec.encode(sightings_message(REPORT, UTC_OFFSET, NOW))
+    carried = codec.encode(sightings_message(dataclasses.replace(REPORT, leans_on=(3, 9)), UTC_OFFSET, NOW))
+    assert len(msgpack.unpackb(plain)) == 11
+    assert msgpack.unpackb(carried)[11:] == [[3, 9]]
+    assert report_from(codec.decode(SightingsMessage, carried), NOW, 0.0).leans_on == (3, 9)
+    assert report_from(codec.decode(SightingsMessage, plain), NOW, 0.0).leans_on == ()
+    with pytest.raises(DecodeError, match="leans_on: names a drone twice"):
+        codec.decode(SightingsMessage, msgpack.packb([*msgpack.unpackb(plain), [3, 3]]))
+    assert len(msgpack.unpackb(codec.encode(HEALTH))) == 18
+    held = msgspec.structs.replace(HEALTH, carried=CarriedHealth((1, 3), 0.375, None))
+    assert msgpack.unpackb(codec.encode(held))[18:] == [[[1, 3], 0.375, None]]
+    assert codec.decode(HealthMessage, codec.encode(held)) == held
+
+
 def test_health_may_be_short_of_what_came_later_and_long_by_what_is_still_to_come() -> None:
     fields = msgpack.unpackb(codec.encode(HEALTH))
     older = codec.decode(HealthMessage, msgpack.packb(fields[:13]))
     assert (older.events, older.time_offset, older.readiness) == (HEALTH.events, None, None)
-    assert codec.decode(HealthMessage, msgpack.packb([*fields, {"of": "tomorrow"}])) == HEALTH
+    assert codec.decode(HealthMessage, msgpack.packb([*fields, None, {"of": "tomorrow"}])) == HEALTH
     with pytest.raises(DecodeError, match="version 2"):
         codec.decode(HealthMessage, msgpack.packb([2, *fields[1:]]))
 
@@ -589,7 +605,7 @@ def test_places_are_on_the_wire_only_where_there_are_some() -> None:
 
 def test_tracks_may_grow_at_their_end() -> None:
     fields = msgpack.unpackb(codec.encode(of_the_second_camera()))
-    longer = msgpack.packb([*fields, {"of": "tomorrow"}])
+    longer = msgpack.packb([*fields, None, {"of": "tomorrow"}])
     assert codec.decode(TracksMessage, longer) == of_the_second_camera()
     assert codec.decode(TracksMessage, msgpack.packb(fields[:6])).relatives == ()
 

@@ -27,6 +27,7 @@ ASKED = [
     "fast-yaw",
     "faults",
     "fisheye",
+    "gps-denied",
     "guided",
     "hover-triangle",
     "intruder",
