@@ -272,16 +272,15 @@ def _interact(mixture: ModeMixture, dt: float, manoeuvres: Manoeuvres) -> ModeMi
     mode, M = mixture.mode @ change, len(change)
     # (n, M, M): share of the column's in the row's new one
     share = change.T * mixture.mode[:, None] / mode[:, :, None]
-    # Second moments about the calm mode's mean: modes are near each other, so hardly anything cancels.
-    about = mixture.mean[:, :1]
-    apart = mixture.mean - about
-    moments = mixture.cov + apart[..., None] * apart[:, :, None]
-    moved = share @ apart
-    cov = (share @ moments.reshape(-1, M, 36)).reshape(-1, M, 6, 6) - moved[..., None] * moved[:, :, None]
+    mean = share @ mixture.mean
+    # Nothing is subtracted: after long coasting the modes of a vague track are far apart, and would cancel.
+    apart = mixture.mean[:, None] - mean[:, :, None]
+    cov = (share @ mixture.cov.reshape(-1, M, 36)).reshape(-1, M, 6, 6)
+    cov += (share[..., None] * apart).swapaxes(2, 3) @ apart
     if len(manoeuvres.levels) > 1:  # who begins a harder manoeuvre does so with its acceleration
         of_acceleration = variances(cov)[..., ACCELERATION_OF_AGILE]
         of_acceleration += (share * manoeuvres.gained).sum(axis=2)[:, :, None]
-    return ModeMixture(about + moved, cov, mode)
+    return ModeMixture(mean, cov, mode)
 
 
 def mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:

@@ -767,6 +767,15 @@ class Mbm(Filter):
         kept = self._population.drop(t)
         if kept is not None:
             self._keep_rows(kept)
+        if self.clusters and self.table.lost.any():
+            self._settle_lost()
+
+    def _settle_lost(self) -> None:
+        """A lost track goes on as published, where the image plane no longer holds one of its other hypotheses."""
+        held = self._population.holds(*manoeuvre.merged(self.leaves.motion))
+        disputed = self.table.lost & (np.bincount(self.leaves.owner[~held], minlength=len(self.table)) > 0)
+        if disputed.any():
+            self.adopt(self.release(disputed, 0.0, None, 0.0))
 
     def _keep_rows(self, kept: NDArray[np.bool_]) -> None:
         """The table's other rows (n,) have gone: with them their leaves go, and their part in hypotheses."""

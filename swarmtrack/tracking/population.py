@@ -172,6 +172,10 @@ class Population:
         table.keep(stay)
         return stay
 
+    def holds(self, mean: Array, cov: Array) -> NDArray[np.bool_]:
+        """(n,) whether the image plane holds targets with means (n, 4) and covariances (n, 4, 4)."""
+        return self._reach.holds(mean, cov)
+
     def _vague(self, t: float) -> NDArray[np.bool_]:
         """(n,) tracks that are out of view for longer than `max_coast_s`, and in no known direction."""
         table, camera = self.table, self._sensor.camera

@@ -19,6 +19,7 @@ from swarmtrack.wire.checks import DecodeError
 
 PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
 NAMED = {kind.__name__.removesuffix("Message"): kind for kind in MESSAGES.values()}
+CAN_BE_ABSENT = re.compile(r"\belse absent\b")
 PLAIN = {"int": int, "float": (float, int), "str": str, "bin": bytes, "bool": bool}
 
 
@@ -105,11 +106,14 @@ def understood(where: str, value: Any, name: str, kind: str) -> Any:
 
 
 def by_position(where: str, values: list[Any], table: Table) -> dict[str, Any]:
-    assert len(values) == len(table), f"{where}: {len(values)} fields, the page has {len(table)}"
+    """Fields at the end may be absent, where the page says so: a decoder has them as nil or empty."""
+    absent = table[len(values) :]
+    assert len(values) <= len(table), f"{where}: {len(values)} fields, the page has {len(table)}"
+    assert all(CAN_BE_ABSENT.search(field.says) for field in absent), f"{where}: {absent} not there"
     return {
         field.name: understood(f"{where}.{field.name}", value, field.name, field.type)
-        for field, value in zip(table, values, strict=True)
-    }
+        for field, value in zip(table, values, strict=False)
+    } | {field.name: [] if field.type.startswith("[ints") else None for field in absent}
 
 
 def as_dict(value: Any) -> Any:

@@ -43,15 +43,19 @@ ASKED += [
     "silent",
     "thirty",
     "two-cameras",
+    "visitor",
     "yawing-observer",
 ]
 STARS = ["formation-3", "formation-5", "formation-8", "intruder-crosses", "leader-lost", "swapped-id", "wind"]
 ASKED = sorted([*ASKED, *STARS])
 FIXED = "yawing-observer"  # its three drones are described one by one
-ALSO_FIXED = ("two-cameras", "fisheye")
+ALSO_FIXED = ("two-cameras", "fisheye", "visitor")
+FOR_FOUR = "gps-denied"  # its drones sway too far for a fuller ring
 COMMANDED = "guided"  # its drones fly where somebody sends them
 ON_THE_GROUND = ("errand", "power-on")  # at first
-FREE = [name for name in ASKED if name not in (FIXED, *ALSO_FIXED, COMMANDED, *ON_THE_GROUND, *STARS)]
+FREE = [
+    name for name in ASKED if name not in (FIXED, *ALSO_FIXED, FOR_FOUR, COMMANDED, *ON_THE_GROUND, *STARS)
+]
 PLANNED = [name for name in ASKED if name not in (COMMANDED, *STARS)]
 SIZES = [2, 3, 4, 5, 7, 8, 13, 16, 29, 30]
 RING = "about = 'x'\nseconds = 9\n[formation]\ndrones = 3\nring = { radius_m = 3.0 }\n"
