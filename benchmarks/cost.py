@@ -36,8 +36,8 @@ PARTS = {
     "ros2": ("ros2_cost", "Being seen by ROS 2"),
 }
 """By name the module whose `measured` gives its figures, and whose docstring says what they are of."""
-# What is probed, and how much of it: scans, and seconds of flight.
-USUAL, QUICK = {"trackers": 200, "agent": 10}, {"trackers": 30, "agent": 3}
+# What is probed, and how much of it: scans, repetitions, and seconds of flight.
+USUAL, QUICK = {"trackers": 200, "parts": 200, "agent": 10}, {"trackers": 30, "parts": 30, "agent": 3}
 ROUNDS = 6
 
 Probed = dict[str, float]

@@ -671,6 +671,10 @@ PeerEvent = (
 )
 
 Membership = PeerArrived | PeerDeparted | IdClash | PeerExpelled
+TeamEvent = (
+    Announcement | Membership | SightingReport | MotionReport | RangeReport | StrangerReport | AgreedMotion
+)
+"""What a drone's perception is told of its team."""
 Input = (
     ImuSample
     | EgoPose
@@ -678,14 +682,8 @@ Input = (
     | AutopilotRebooted
     | VisualTurn
     | Detections
-    | Announcement
-    | Membership
-    | SightingReport
-    | MotionReport
-    | RangeReport
-    | StrangerReport
     | RemoteIdClaim
-    | AgreedMotion
+    | TeamEvent
 )
 """All that a drone's perception is ever told; that somebody asks for its tracks is the one thing beside it."""
 

@@ -56,6 +56,7 @@ from swarmtrack.messages import (
     ScanReport,
     SightingReport,
     StrangerReport,
+    TeamEvent,
     Track,
     TrackList,
     VisualTurn,
@@ -178,17 +179,12 @@ class Onboard:
         self._consensus = Consensus()
         self._view: OwnView | None = None
         measuring = [MeasuringCamera(each.lens, each.body_from_camera, each.tracker) for each in cameras]
-        self._metres = Metres(
-            drone_id,
-            relative or RelativeParameters(),
-            cameras=measuring,
-            ego=ego,
-            places_anybody=places_anybody,
-        )
-        self._strangers = Strangers(drone_id, relative or RelativeParameters(), cameras=measuring)
+        relative = relative or RelativeParameters()
+        self._metres = Metres(drone_id, relative, cameras=measuring, ego=ego, places_anybody=places_anybody)
+        self._strangers = Strangers(drone_id, relative, cameras=measuring)
         self._own_place = OwnPlace(
             drone_id,
-            relative or RelativeParameters(),
+            relative,
             cameras=[each.body_from_camera.position for each in cameras],
             start_sigma_m=start_sigma_m,
         )
@@ -197,13 +193,12 @@ class Onboard:
     def tell(self, event: Input) -> None:
         """Something happened: the one way in."""
         match event:
-            case ImuSample() if not self._uses_gyro:
-                pass
             case ImuSample():
-                x, y, z = (self._first.camera_from_body @ event.gyro).tolist()
-                self.gyro.append(event.t, (x, y, z))
-                self._bias.settle()
-                self._settle()
+                if self._uses_gyro:
+                    x, y, z = (self._first.camera_from_body @ event.gyro).tolist()
+                    self.gyro.append(event.t, (x, y, z))
+                    self._bias.settle()
+                    self._settle()
             case VisualTurn():
                 self.gyro.add_visual_turn(event)
                 self._settle()
@@ -222,6 +217,19 @@ class Onboard:
             case Detections():
                 self._waiting.append(event)
                 self._settle()
+            case RemoteIdClaim():
+                self._strangers.hear_claim(event)
+            case AutopilotRebooted():
+                self._ego.restart()
+                self._bias.restart()
+                self._heading_steps.restart()
+                self._identities.autopilot_rebooted()
+            case _:
+                self._hear(event)
+
+    def _hear(self, event: TeamEvent) -> None:
+        """What the team says, or has agreed."""
+        match event:
             case SightingReport():
                 self._identities.on_report(event)
                 self._compare(event)
@@ -236,8 +244,6 @@ class Onboard:
             case StrangerReport():
                 if self._identities.teammates.is_heard(event.observer):
                     self._strangers.hear(event, self.gyro.newest)
-            case RemoteIdClaim():
-                self._strangers.hear_claim(event)
             case AgreedMotion():
                 if event.drone_id == self._drone_id:
                     self._flight.agree(event)
@@ -256,11 +262,6 @@ class Onboard:
                     self._metres.forget(event.drone_id)
                     self._strangers.forget(event.drone_id)
                     self._own_place.forget(event.drone_id)
-            case AutopilotRebooted():
-                self._ego.restart()
-                self._bias.restart()
-                self._heading_steps.restart()
-                self._identities.autopilot_rebooted()
             case _:
                 assert_never(event)
 

@@ -128,7 +128,8 @@ class MavlinkAutopilot:
     None for the only one on the link; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode
     0600, see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
     gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched; engagement:
-    is told of the flight mode. Raises `SourceError` for what can never work.
+    is told of the flight mode; origin: of the team frame, by which Remote ID of others is read, None: it is not. Raises
+    `SourceError` for what can never work.
 
     Apart from `run`, its interface is `opened`, `received` and `tick`, which take the time and need no event loop.
     """
@@ -148,7 +149,6 @@ class MavlinkAutopilot:
         engagement: PilotEngagement | None = None,
         origin: Geodetic | None = None,
     ) -> None:
-        """origin: of the team frame, by which Remote ID of others is read; None: it is not."""
         _check(imu_rate_hz, system_id)
         self._clock = clock
         self._link = open_link(link, clock) if isinstance(link, str) else link
@@ -192,8 +192,7 @@ class MavlinkAutopilot:
         self._next_heartbeat = self._next_tick = self._next_choice = -math.inf
         self._met_at = math.inf
         """When our autopilot was chosen."""
-        self._greeted = False
-        self._overheard, self._overheard_since = 0, -math.inf
+        self._greeted, self._overheard, self._overheard_since = False, 0, -math.inf
 
     @property
     def _reads_channels(self) -> bool:

@@ -39,6 +39,7 @@ from swarmtrack.carried.priors import (
     VAGUE_SHARE,
     WIDTH_WALK_SQRT_S,
 )
+from swarmtrack.geometry.rotation import hat
 from swarmtrack.messages import Array
 from swarmtrack.relative.gates import GATE
 from swarmtrack.relative.log_range import across, unit_decay
@@ -119,10 +120,6 @@ class OwnPlaceFilter:
         P[:, n:, n:] = prior
         self._x, self._P = x, P
         self.weights = np.append(self.weights, 0.0)
-
-    def false_word(self, drone_id: int) -> float:
-        """The probability that a teammate's word is false."""
-        return float(self.weights[2 + (self._columns[drone_id] - _OWN) // _EACH])
 
     def moments(self, part: slice) -> Moments:
         """Mean and covariance of the mixture."""
@@ -280,8 +277,7 @@ class OwnPlaceFilter:
         theta = self._x[:, turn : turn + 3]
         nu = (np.cross(theta, d) - u) @ E
         H = np.zeros((len(q), 2, self._x.shape[1]))
-        x, y, z = d.tolist()
-        H[:, :, turn : turn + 3] = E.T @ np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+        H[:, :, turn : turn + 3] = E.T @ hat(d)
         return nu, H, u, r, E
 
     def _fold(self, nu: Array, H: Array, R: Array) -> bool:

@@ -101,15 +101,8 @@ def warning(event: object) -> str:
 
 def describe(news: News) -> str:
     match news:
-        case HeadingNews(step=step, doubt=doubt) if step and doubt:
-            return (
-                f"our heading was reset by {math.degrees(step):+.1f}° against the gyro: the old one or the new one is "
-                f"wrong, so until we land it counts as known to ±{math.degrees(doubt):.0f}°; announced again"
-            )
-        case HeadingNews(step=step) if step:
-            return f"our heading stepped by {math.degrees(step):+.1f}° against the gyro: announced again"
         case HeadingNews():
-            return "our heading has been aligned in flight: announced again"
+            return _describe_heading(news)
         case GroundHeightNews():
             side = "above" if news.above_m > 0.0 else "below"
             return (
@@ -164,6 +157,19 @@ def describe(news: News) -> str:
             return _describe_mounting(news)
         case _:
             return _describe_peer(news)
+
+
+def _describe_heading(news: HeadingNews) -> str:
+    match news:
+        case HeadingNews(step=step, doubt=doubt) if step and doubt:
+            return (
+                f"our heading was reset by {math.degrees(step):+.1f}° against the gyro: the old one or the new one is "
+                f"wrong, so until we land it counts as known to ±{math.degrees(doubt):.0f}°; announced again"
+            )
+        case HeadingNews(step=step) if step:
+            return f"our heading stepped by {math.degrees(step):+.1f}° against the gyro: announced again"
+        case HeadingNews():
+            return "our heading has been aligned in flight: announced again"
 
 
 def _describe_peer(event: PeerEvent) -> str:

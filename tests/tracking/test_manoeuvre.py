@@ -552,3 +552,14 @@ def test_what_is_handed_in_is_not_written_into():
     update(mixture, np.zeros((2, 2)), np.tile(np.eye(2), (2, 1, 1)))
     for was, now in itertools.zip_longest(before, mixture):
         assert (was == now).all()
+
+
+def test_modes_that_are_far_apart_keep_their_covariances_where_they_hardly_mix():
+    """As of a track that coasted for long in a turning camera: the squares of their distance must not cancel."""
+    rng = np.random.default_rng(0)
+    mixture = mixture_of(rng, 5)
+    away = np.array([[0.0], [1e6]]) * rng.normal(0.0, 1.0, (5, 1, 6))
+    apart = mixture._replace(mean=mixture.mean + away, cov=1e-3 * mixture.cov)
+    mixed = manoeuvre._interact(apart, 1e-3, NEVER_CHANGING)
+    assert mixed.cov == pytest.approx(apart.cov, rel=1e-4, abs=1e-5)
+    assert mixed.mean == pytest.approx(apart.mean)

@@ -249,6 +249,29 @@ def test_a_track_that_ends_leaves_its_cluster_in_one_piece():
     watch(tracker, 0.35, [[300.0, 200.0], [312.0, 200.0]])
 
 
+def test_a_lost_track_in_dispute_goes_on_as_published_where_the_plane_no_longer_holds_the_other_story():
+    """Long out of view, one of its hypotheses comes to lie more than a right angle off the axis."""
+    tracker, (one, two) = hovering([[300.0, 200.0], [309.0, 200.0]])
+    watch(tracker, 0.1, [[304.5, 200.0]])
+    state = tracker.filter
+    row = state.table.id.tolist().index(two)
+    (other,) = set(np.flatnonzero(state.leaves.owner == row).tolist()) - {int(state.best[row])}
+    published = state.table.mean[row].copy()
+    state.table.lost[row] = True
+    state._drop(0.1)
+    assert members(tracker) == [[one, two]]  # as long as the plane holds both
+    state.leaves.motion.mean[other, :, 0] = 1e5
+    state.leaves.motion.cov[other] *= 1e80
+    state._drop(0.1)
+    assert_hangs_together(tracker)
+    assert members(tracker) == [[one]] or members(tracker) == []
+    row = state.table.id.tolist().index(two)
+    assert np.count_nonzero(state.leaves.owner == row) == 1
+    assert state.table.mean[row] == pytest.approx(published)
+    with np.errstate(all="raise"):
+        watch(tracker, 0.2, [[300.0, 200.0], [309.0, 200.0]])
+
+
 def test_the_last_of_a_cluster_may_end_too():
     tracker, _ = hovering([[300.0, 200.0], [306.0, 200.0]], max_coast_s=0.3)
     watch(tracker, 0.1, [[303.0, 200.0]])

@@ -630,8 +630,7 @@ def _scenario(name: str, file: ScenarioFile, seed: int, drones: int | None) -> S
             departs_s={drone_id: file.hover_s + starts.get(drone_id, 0.0) for drone_id in ids},
             view=VIEW,
         )
-    team = tuple(members)
-    world = fly(seed, dict(sorted(plans.items())), file.sway_m, codes_s=file.codes_s, team=team)
+    world = fly(seed, dict(sorted(plans.items())), file.sway_m, codes_s=file.codes_s, team=tuple(members))
     world, events = _with_errands(world, file, ids, autopilots)
     star = shape.star.star(ids) if shape is not None and shape.star is not None else None
     if star is not None:
