@@ -20,6 +20,7 @@ same size, in one batch. What is read is the mixture's mean and covariance.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -105,6 +106,13 @@ class OwnPlaceFilter:
     def __contains__(self, drone_id: int) -> bool:
         return drone_id in self._columns
 
+    def __len__(self) -> int:
+        """How many teammates are in it."""
+        return len(self._columns)
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._columns)
+
     def add_teammate(self, drone_id: int, place_cov: Array, width_sigma: float) -> None:
         """place_cov (3, 3) m²: of its stated places, what lasts; width_sigma: of ln(width), what lasts."""
         n = self._x.shape[1]
@@ -120,6 +128,22 @@ class OwnPlaceFilter:
         P[:, n:, n:] = prior
         self._x, self._P = x, P
         self.weights = np.append(self.weights, 0.0)
+
+    def remove_teammate(self, drone_id: int) -> None:
+        """Without it, that its positions were false is as good as that all are sound."""
+        mode, column = 2 + list(self._columns).index(drone_id), self._columns.pop(drone_id)
+        both = [0, mode]
+        weight = self.weights[both].sum()
+        share = self.weights[both] / weight if weight else np.array([1.0, 0.0])
+        mean = share @ self._x[both]
+        off = self._x[both] - mean
+        self._P[0] = np.tensordot(share, self._P[both], 1) + (share[:, None] * off).T @ off
+        self._x[0], self.weights[0] = mean, weight
+        gone = np.arange(column, column + _EACH)
+        self.weights, x = np.delete(self.weights, mode), np.delete(self._x, mode, 0)
+        self._x = np.delete(x, gone, 1)
+        self._P = np.delete(np.delete(np.delete(self._P, mode, 0), gone, 1), gone, 2)
+        self._columns = {id: at - _EACH * (at > column) for id, at in self._columns.items()}
 
     def moments(self, part: slice) -> Moments:
         """Mean and covariance of the mixture."""

@@ -32,6 +32,7 @@ from swarmtrack.carried.priors import (
     ADRIFT_LEAST_M,
     ANCHOR_CARRIED_LASTS_S,
     ANCHOR_VAGUE_M,
+    ANCHORS_MOST,
     COMPARED_EVERY_S,
     FITTED_RAYS,
     HELD_S,
@@ -256,6 +257,11 @@ class OwnPlace:
         found, anchor = self._filter, self._anchors[drone]
         assert found is not None
         if drone not in found:
+            if len(found) >= ANCHORS_MOST:
+                gone = min(found, key=lambda other: self._anchors[other].last_t)
+                if self._anchors[gone].holds(found.t):
+                    return
+                found.remove_teammate(gone)
             found.add_teammate(drone, anchor.place_var * _EYE, self._p.lasting)
         distance = float(np.linalg.norm(ray.said - found.moments(OWN_PLACE).mean))
         if math.isfinite(ray.log_range):

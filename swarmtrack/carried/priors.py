@@ -31,6 +31,8 @@ COMPARED_EVERY_S = 0.25
 REPORT_NEAR_S, REPORT_ACCELERATION_M_S2 = 1.5, 1.5
 # m per axis: a teammate that knows its place no better holds nobody. One that is itself carried errs alike for seconds.
 ANCHOR_VAGUE_M, ANCHOR_CARRIED_LASTS_S = 2.0, 5.0
+# Teammates in the filter, whose cost grows with the fourth power of them: more hold a place hardly better.
+ANCHORS_MOST = 6
 # A ray to whom it says.
 P_RAY_SURE = 0.9
 # Nearer than this, and known worse than by this share of the distance, a ray is no linear measurement: the place begins

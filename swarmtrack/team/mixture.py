@@ -47,6 +47,7 @@ from swarmtrack.team.priors import (
     SOMEWHERE_SIGMA_M,
     START_LEAST_SIGMA_M,
     STRANGERS_SEEN,
+    SURE_NAMES_TELL,
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
@@ -137,7 +138,8 @@ class JointMixture:
         for c, mate in enumerate(mates):
             log_w = log_w + self._of_teammate(c, mate, tracks, told, each, used=used, t=t, known=known)
         waiting = [i for i, track in enumerate(tracks) if track.waits]
-        for i, past in pasts_from_now(waiting, pasts, each).items():
+        worth = self._log_weight[used] > LOG_SLEEPS
+        for i, past in pasts_from_now(waiting, pasts, each, worth).items():
             for rows, last in zip(pasts[i], tracks[i].begin_waiting_on(past, used), strict=True):
                 rows[-1] = last
         for track, b, e in zip(tracks, base, each, strict=True):
@@ -307,7 +309,8 @@ class JointMixture:
         self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
         self.is_settled = bool(weight.max() > P_SETTLED and sure.all())
         # That this drone is as it says; whether two that are not in view have mixed up their pads, no track can say.
-        self._is_right = bool(1.0 - self.p_fault > P_SETTLED and sure.all())
+        is_told = sure.all() or np.count_nonzero(P.max(axis=1, initial=0.0) > P_SETTLED) >= SURE_NAMES_TELL
+        self._is_right = bool(1.0 - self.p_fault > P_SETTLED and is_told)
         return kept, P
 
     def by_motion(

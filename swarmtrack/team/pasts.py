@@ -7,7 +7,7 @@ matching; and it is known which teammate it was most likely, for the case that t
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.log_sums import log_sum
-from swarmtrack.team.matchings import log_total
+from swarmtrack.team.matchings import log_parts
 
 COLUMN_OF_NOBODY = -1
 
@@ -52,10 +52,12 @@ def log_ratios(base: Sequence[Array], each: Sequence[Array]) -> tuple[list[Array
     return nobody, np.array(ratio)
 
 
-def pasts_from_now(waiting: Collection[int], pasts: Sequence[Past], each: Sequence[Array]) -> dict[int, Past]:
+def pasts_from_now(
+    waiting: Sequence[int], pasts: Sequence[Past], each: Sequence[Array], worth: NDArray[np.bool_]
+) -> dict[int, Past]:
     """Pasts (k,) of the newest segments of the tracks `waiting`, by index. pasts, each (s, k, m): by track, before each
     segment and of it. Nothing of the newest segment of a waiting track has been compared: bearings of before it that
-    came since are of what it was before.
+    came since are of what it was before. worth (k,): the components of which that is worth its time, of many tracks.
     """
     if not waiting:
         return {}
@@ -63,12 +65,9 @@ def pasts_from_now(waiting: Collection[int], pasts: Sequence[Past], each: Sequen
     before = [past.of(rows) for past, rows in zip(pasts, until, strict=True)]
     of = [e[rows] for e, rows in zip(each, until, strict=True)]
     nobody, ratio = log_ratios([past.log for past in before], of)
-    left, found = list(range(len(pasts))), {}
-    total = log_total(ratio[left])
-    for i in waiting:
-        left.remove(i)
-        others = log_total(ratio[left])
-        log, total = nobody[i] + total - others, others
+    found = {}
+    for i, part in zip(waiting, log_parts(ratio, waiting, worth), strict=True):
+        log = nobody[i] + part
         column = ratio[i].argmax(axis=1)
         other = log_sum(before[i].without(column) + _anybody_but(column, of[i]), 0)
         found[i] = Past(log, column, np.minimum(other, log))

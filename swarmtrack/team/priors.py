@@ -192,6 +192,11 @@ ELSEWHERE_GATE, ELSEWHERE_LEAST_M, P_ELSEWHERE = 16.0, 0.5, 0.99
 # them while a component, or a name, is less sure than that.
 LOG_SLEEPS = -12.0
 SLEEPERS_PARTS, SLEEPERS_PARTS_DOUBTFUL = 48, 8
+# By beliefs alone the log weight of a component's matchings lacks so much at most: of twelve tracks that all may be all
+# of twelve teammates, 1.6.
+BELIEFS_LACK = 3.0
 P_SETTLED = 0.99
+# So many sure names say that the own pose is right, whatever other tracks are.
+SURE_NAMES_TELL = 8
 # Where everything is surer, so often is enough.
 CALM_WEIGHED_EVERY_S = 1.0

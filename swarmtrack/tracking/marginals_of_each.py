@@ -1,4 +1,5 @@
-"""One matching under several hypotheses at once: for each of them what `marginals.py` gives, exactly.
+"""One matching under several hypotheses at once: for each of them what `marginals.py` gives, exactly up to so many rows
+as `MARGINALS_OF_EACH_MOST_ROWS`; of more, beliefs (`beliefs_of_each.py`).
 
 Small matchings are cheaper to work out than to ask for one by one, so all hypotheses go through one sweep. With F_j[S]
 and B_j[S] as there, all sets S of the rows (or columns, if these are fewer) are kept. A step over a column and a row is
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.tracking.beliefs_of_each import believed
 from swarmtrack.tracking.listed_matchings import MatchedOfEach, listed
 from swarmtrack.tracking.marginals import independent_blocks, matched
 from swarmtrack.tracking.priors import (
@@ -44,6 +46,8 @@ def _of_block(log_ratio: Array) -> MatchedOfEach:
     if n > m:
         probability, log_total = _of_block(log_ratio.swapaxes(1, 2))
         return MatchedOfEach(probability.swapaxes(1, 2), log_total)
+    if n > MARGINALS_OF_EACH_MOST_ROWS and log_ratio.max() < MARGINALS_LARGEST_EXPONENT / 2.0:
+        return believed(log_ratio)[0]
     if n > MARGINALS_OF_EACH_MOST_ROWS or log_ratio.max() > MARGINALS_LARGEST_EXPONENT / n:
         each = [matched(ratios) for ratios in log_ratio]
         return MatchedOfEach(

@@ -177,6 +177,10 @@ MARGINALS_LARGEST_EXPONENT, MARGINALS_LARGEST_LOG_RATIO = 600.0, 1e6
 BELIEF_ITERATIONS, BELIEF_TOLERANCE = 200, 1e-6
 # Beliefs below which pairs are left out of the sweep, the first that makes it narrow enough.
 BELIEF_CUTS: Array = np.geomspace(1e-6, 0.51, 40)
+# How much a pair lets on around a loop, from which on beliefs are not enough; where these are too many, the first of
+# these with few enough rows open: 256 sets.
+BELIEF_LOOP_LEAST, BELIEF_LOOP_WIDEST = 0.01, 8
+BELIEF_LOOP_CUTS: Array = np.geomspace(0.015, 1.0, 12)
 # Rows up to which all sets of them are kept: 256 sets; and those swept at once, which a cache holds.
 MARGINALS_OF_EACH_MOST_ROWS, MARGINALS_OF_EACH_SETS = 8, 8192
 # Rows of which a matrix of sets is cheaper than a step for each of them.

@@ -7,6 +7,7 @@ from swarmtrack.team.matchings import log_total
 from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past, each_past_once, log_ratios, pasts_from_now
 
 BOTH = (0, 1)
+ALL = np.ones(1, bool)
 
 
 def begun(whole):
@@ -32,7 +33,7 @@ def told_again(found, more, handover=-6.0):
 @pytest.mark.parametrize("whole", [[[50.0, -90.0], [-90.0, 40.0]], [[50.0, 20.0], [45.0, -90.0]]])
 def test_all_pasts_together_are_one_matching(whole):
     pasts, each = begun(whole)
-    found = pasts_from_now(BOTH, pasts, each)
+    found = pasts_from_now(BOTH, pasts, each, ALL)
     assert sum(past.log[0] for past in found.values()) == pytest.approx(
         log_total(np.asarray(whole)[:, None])[0]
     )
@@ -41,7 +42,7 @@ def test_all_pasts_together_are_one_matching(whole):
 def test_a_track_that_was_a_teammate_leaves_another_the_time_since_then_only():
     """Both fitted teammate 0, the second a little worse. The first is nobody any more, and the second fits well."""
     whole = [[50.0, -90.0], [48.0, -90.0]]
-    found = pasts_from_now(BOTH[::-1], *begun(whole))
+    found = pasts_from_now(BOTH[::-1], *begun(whole), ALL)
     assert found[0].column[0] == 0
     later = ([[-90.0, -90.0], [53.0, -90.0]], [[-90.0, -90.0], [5.0, -90.0]])
     # At most one of the two pasts, and what came since.
@@ -49,7 +50,7 @@ def test_a_track_that_was_a_teammate_leaves_another_the_time_since_then_only():
 
 
 def test_of_a_past_the_likeliest_is_known_and_what_it_was_otherwise():
-    found = pasts_from_now([0], *begun([[50.0, 20.0], [-90.0, -90.0]]))
+    found = pasts_from_now([0], *begun([[50.0, 20.0], [-90.0, -90.0]]), ALL)
     past = found[0]
     assert (past.log[0], past.column[0]) == (pytest.approx(50.0), 0)
     assert past.without(0)[0] == pytest.approx(20.0)
