@@ -115,6 +115,31 @@ class TeammatePrior:
         far[:, 0, 1], far[:, 1, 1] = -np.sin(angle), np.cos(angle)
         return cls(*(np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (y, far)))
 
+    def products(self, S: Array, used: NDArray[np.intp]) -> Array:
+        """(6, n c, k): y_iᵀ S y_j of S (n, c, 36), by the components used; `_squares` has their order."""
+        return S.reshape(-1, len(_ROW)) @ _squares(self.y[:, :, used])
+
+    def far_products(self, S: Array) -> Array:
+        """(3, n, c): the same of S (n, 36) with a heading that is anywhere."""
+        return S @ _squares(self.far)
+
+
+class PriorsOfMany(NamedTuple):
+    """The priors of several teammates, and where the matrices of each end: the same of all of them."""
+
+    priors: Sequence[TeammatePrior]
+    ends: NDArray[np.intp]
+
+    def products(self, S: Array, used: NDArray[np.intp]) -> Array:
+        """As `TeammatePrior.products`."""
+        each = zip(self.priors, np.split(S, self.ends[:-1]), strict=True)
+        return np.concatenate([prior.products(rows, used) for prior, rows in each], axis=1)
+
+    def far_products(self, S: Array) -> Array:
+        """As `TeammatePrior.far_products`."""
+        each = zip(self.priors, np.split(S, self.ends[:-1]), strict=True)
+        return np.concatenate([prior.far_products(rows) for prior, rows in each], axis=1)
+
 
 # Of a symmetric (8, 8), the entries on and above the diagonal; and which of them stand twice in it.
 _ROW, _COLUMN = np.triu_indices(8)
@@ -173,10 +198,11 @@ def log_evidence_of_nothing(used: NDArray[np.intp], *, doubting: bool) -> Array:
 
 
 class Marginal:
-    """Matrices M (n, 8, 8) of pairs with one teammate, with q integrated out for each spread of starts.
+    """Matrices M (n, 8, 8) of pairs with one teammate, or several, with q integrated out for each spread of starts.
 
-    cov (3, 3) m²: of the stated starts, the own and the teammate's; spreads (c,) m, increasing: `OwnErrors.spread` of
-    the components that will be asked for; doubting: whether it says that it doubts itself.
+    cov (3, 3) m²: of the stated starts, the own and the teammate's; of several (n, 1, 3, 3). spreads (c,) m,
+    increasing: `OwnErrors.spread` of the components that will be asked for; doubting: whether it says that it doubts
+    itself.
     """
 
     def __init__(self, M: Array, cov: Array, spreads: Array, *, doubting: bool = False) -> None:
@@ -186,14 +212,14 @@ class Marginal:
         self._log_shares = np.log(shares)
         """(2, c): by how far starts are off, of a team whose starts are as stated, and of one whose are not."""
         self._log_far = math.log(p_far)
-        Sigma = np.array(
-            [cov + (spread**2 + m**2) * _HORIZONTAL for m in (0.0, *START_OFF_SIGMA_M) for spread in spreads]
+        Sigma = cov + np.array(
+            [(spread**2 + m**2) * _HORIZONTAL for m in (0.0, *START_OFF_SIGMA_M) for spread in spreads]
         )
-        P = np.linalg.inv(Sigma)
+        P, c = np.linalg.inv(Sigma), self._log_shares.shape[1]
         A = M[:, None, LEVEL:, LEVEL:] + P
         A_inv = np.linalg.inv(A)
         X = M[:, None, :LEVEL, LEVEL:] @ A_inv
-        S = np.empty((len(M), len(P), 8, 8))
+        S = np.empty((len(M), len(spreads) * c, 8, 8))
         S[..., :LEVEL, :LEVEL] = M[:, None, :LEVEL, :LEVEL] - X @ M[:, None, LEVEL:, :LEVEL]
         S[..., :LEVEL, LEVEL:] = X @ P
         S[..., LEVEL:, :LEVEL] = S[..., :LEVEL, LEVEL:].swapaxes(-1, -2)
@@ -205,7 +231,11 @@ class Marginal:
         self._spreads = spreads
 
     def log_evidence(
-        self, prior: TeammatePrior, errors: OwnErrors, used: NDArray[np.intp], heading_sigma: float
+        self,
+        prior: TeammatePrior | PriorsOfMany,
+        errors: OwnErrors,
+        used: NDArray[np.intp],
+        heading_sigma: float,
     ) -> Array:
         """(n, len(used)) of the components used, without the bearings' normalisers. heading_sigma [rad]: of the own
         heading in the first component."""
@@ -215,20 +245,22 @@ class Marginal:
         loose = errors.loose[used].astype(int)
         for s in np.unique(spread).tolist():
             here = np.flatnonzero(spread == s)
-            each = self._of(s, prior.y[:, :, used[here]], sigma[here])
+            each = self._of(s, prior, used[here], sigma[here])
             each += self._log_shares[loose[here]].T
             found[:, here] = log_sum(each, 1)
         first = np.flatnonzero(used == 0)
         if first.size:
-            found[:, first[0]] = np.logaddexp(found[:, first[0]], self._of_far(prior.far))
+            found[:, first[0]] = np.logaddexp(found[:, first[0]], self._of_far(prior))
         return found
 
-    def _of(self, spread: int, y: Array, sigma: Array) -> Array:
-        """(n, c, k): by how far the teammate's start is off, and by component; y (8, 3, k)."""
+    def _of(
+        self, spread: int, prior: TeammatePrior | PriorsOfMany, used: NDArray[np.intp], sigma: Array
+    ) -> Array:
+        """(n, c, k): by how far the teammate's start is off, and by the components used."""
         columns = slice(spread, None, len(self._spreads))
         S = self._S[:, columns]
-        n, c, k = *S.shape[:2], y.shape[2]
-        g00, g01, g11, g02, g12, g22 = S.reshape(-1, len(_ROW)) @ _squares(y)
+        n, c, k = *S.shape[:2], len(used)
+        g00, g01, g11, g02, g12, g22 = prior.products(S, used)
         a11, a22 = g11 * sigma**2 + 1.0, g22 * TEAMMATE_HEADING_SIGMA_RAD**2 + 1.0
         a12 = g12 * (sigma * TEAMMATE_HEADING_SIGMA_RAD)
         b1, b2 = g01 * sigma, g02 * TEAMMATE_HEADING_SIGMA_RAD
@@ -237,13 +269,13 @@ class Marginal:
         log = (-0.5 * quad - 0.5 * np.log(det)).reshape(n, c, k)
         return np.asarray(log + self._log_volume[:, columns, None])
 
-    def _of_far(self, far: Array) -> Array:
-        """(n,): with the teammate's heading anywhere, and its start as stated; far (8, 2, c)."""
-        S, sigma = self._S[:, 0], TEAMMATE_HEADING_CELL_SIGMA_RAD
-        g00, g01, g11 = S @ _squares(far)
+    def _of_far(self, prior: TeammatePrior | PriorsOfMany) -> Array:
+        """(n,): with the teammate's heading anywhere, and its start as stated."""
+        sigma = TEAMMATE_HEADING_CELL_SIGMA_RAD
+        g00, g01, g11 = prior.far_products(self._S[:, 0])
         h = g11 * sigma**2 + 1.0
         log = -0.5 * (g00 - (g01 * sigma) ** 2 / h) - 0.5 * np.log(h)
-        log += self._log_volume[:, :1] + self._log_far - math.log(far.shape[2])
+        log += self._log_volume[:, :1] + self._log_far - math.log(g00.shape[1])
         return log_sum(log, 1)
 
     def solutions(

@@ -19,23 +19,27 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array, OwnFault
 from swarmtrack.team.evidence import (
     Marginal,
+    PriorsOfMany,
     Solution,
     TeammatePrior,
     log_evidence_of_nothing,
     moments,
 )
 from swarmtrack.team.log_sums import log_sum
-from swarmtrack.team.matchings import match_all, worth_matching
+from swarmtrack.team.matchings import is_wide, match_all, worth_matching
 from swarmtrack.team.own_errors import ConfigFault, OwnErrors
 from swarmtrack.team.pasts import any_or_none, each_past_once, log_ratios, pasts_from_now
 from swarmtrack.team.priors import (
+    ALL_PAIRS_EVERY,
     DOUBTING_PADS_RATIO,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
     LOG_NONSENSE,
+    LOG_PAIR_SLEEPS,
     LOG_RATIO_LEAST,
     LOG_SEEN,
     LOG_SLEEPS,
+    NAMES_TELL,
     OWN_ERRORS_LAST_S,
     P_HELD,
     P_SETTLED,
@@ -47,11 +51,14 @@ from swarmtrack.team.priors import (
     SOMEWHERE_SIGMA_M,
     START_LEAST_SIGMA_M,
     STRANGERS_SEEN,
-    SURE_NAMES_TELL,
+    TEAMMATES_AT_ONCE,
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
 from swarmtrack.team.unheard import UnheardTrack
+
+# Of one teammate: `Told.of` each track that is looked at, and log evidence (1 + c, k) of nothing and of all these.
+PairEvidence = tuple[list[tuple[Array, Array, int]], Array]
 
 
 class OwnKnowledge(NamedTuple):
@@ -81,8 +88,9 @@ class JointMixture:
         self.weight = np.eye(len(self.errors))[0]
         self._log_weight = np.zeros(len(self.errors))
         self._p_heading_off = np.zeros(len(self.errors))
-        self._part = 0
+        self._part = self._round = 0
         self.is_settled = self._is_right = False
+        self.looks_at_all = True
 
     @property
     def log_seen(self) -> float:
@@ -128,15 +136,18 @@ class JointMixture:
     ) -> Array:
         """(n, m): the probability that each track is each teammate. Each track remembers what it says of the
         components, and the weights of its segments."""
-        used = self._awake()
+        used = self._awake(tracks)
         log_prior, off = self.errors.log_prior(known.heading_sigma)
         log_w = log_prior[used] + self._told_at(t)[used]
         pasts = [track.pasts(len(self.errors)).of((slice(None), used)) for track in tracks]
         base = [past.log for past in pasts]
-        each = [np.full((*b.shape, len(mates)), -np.inf) for b in base]
         told = [track.told() for track in tracks]
+        each, looked_at = self._pairs(tracks, mates, base)
+        ready = self._evidence_of_many(mates, told, looked_at, used, known, t=t)
         for c, mate in enumerate(mates):
-            log_w = log_w + self._of_teammate(c, mate, tracks, told, each, used=used, t=t, known=known)
+            log_w = log_w + self._of_teammate(
+                c, mate, tracks, told, each, looked_at=looked_at, ready=ready, used=used, t=t, known=known
+            )
         waiting = [i for i, track in enumerate(tracks) if track.waits]
         worth = self._log_weight[used] > LOG_SLEEPS
         for i, past in pasts_from_now(waiting, pasts, each, worth).items():
@@ -149,6 +160,7 @@ class JointMixture:
         log_w = log_w + sum(nobody, np.zeros(len(used)))
         once = each_past_once(ratio, nobody, pasts, each)
         kept, P = self._match(once.swapaxes(0, 1), log_w, used, off)
+        self._let_pairs_sleep(tracks, mates, ratio[:, self._log_weight[used] > LOG_SLEEPS], P)
         for track, p in zip(tracks, P, strict=True):
             if p.max(initial=0.0) > P_HELD:
                 track.held = mates[int(p.argmax())].drone_id
@@ -197,15 +209,19 @@ class JointMixture:
         told: Sequence[Told],
         each: Sequence[Array],
         *,
+        looked_at: NDArray[np.bool_],
+        ready: Mapping[int, PairEvidence],
         used: NDArray[np.intp],
         t: float,
         known: OwnKnowledge,
     ) -> Array:
         """(k,): what is known of one teammate says of the components used; its log ratios go into column c of `each`,
-        by segment of each track."""
-        before = mate.told(t)
-        if before.any() or mate.p_supposed or any(found.known[mate.column] for found in told):
-            cases = [found.of(mate.column) for found in told]
+        by segment of each track that is looked at (n, m)."""
+        before, at_tracks = mate.told(t), np.flatnonzero(looked_at[:, c]).tolist()
+        if c in ready:
+            cases, E = ready[c]
+        elif before.any() or mate.p_supposed or any(told[i].known[mate.column] for i in at_tracks):
+            cases = [told[i].of(mate.column) for i in at_tracks]
             new = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _, _ in cases)])
             E = self._evidence(mate, before + new, used, known)
         else:
@@ -223,9 +239,9 @@ class JointMixture:
             other = other - other[0]
             E = np.logaddexp(math.log(1.0 - mate.p_supposed) + E, math.log(mate.p_supposed) + other)
         at = 1
-        for track, found, (M, weight, whole), into in zip(tracks, told, cases, each, strict=True):
-            if found.known[mate.column]:
-                back = 0.0
+        for i, (M, weight, whole) in zip(at_tracks, cases, strict=True):
+            if told[i].known[mate.column]:
+                track, back = tracks[i], 0.0
                 if mate.p_supposed and track.may_return(mate.drone_id, mate.supposed_t):
                     fit = float((other[at : at + whole] + weight[:whole, None]).max())
                     # The track that ended may have been a stranger, which comes back as readily.
@@ -237,9 +253,72 @@ class JointMixture:
                 log[whole:] -= math.log(len(self._priors))
                 if whole > 1:
                     log = np.concatenate([log_sum(log[:whole], 0)[None], log[whole:]])
-                into[:, :, c] = log
+                each[i][:, :, c] = log
             at += len(M)
         return np.asarray(log_w)
+
+    def _pairs(
+        self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], base: Sequence[Array]
+    ) -> tuple[list[Array], NDArray[np.bool_]]:
+        """Log ratios (s, k, m) by track to be filled in, with those of pairs that sleep; and the others (n, m)."""
+        each = [np.full((*b.shape, len(mates)), -np.inf) for b in base]
+        looked_at = np.ones((len(tracks), len(mates)), bool)
+        if self.looks_at_all:
+            return each, looked_at
+        columns = [mate.column for mate in mates]
+        sleeps = np.array([not mate.p_supposed for mate in mates])
+        for i, track in enumerate(tracks):
+            faint = np.where(sleeps, track.faint[columns], np.nan)
+            looked_at[i] = np.isnan(faint)
+            each[i][:] = np.where(looked_at[i], -np.inf, faint)
+        return each, looked_at
+
+    def _evidence_of_many(
+        self,
+        mates: Sequence[Teammate],
+        told: Sequence[Told],
+        looked_at: NDArray[np.bool_],
+        used: NDArray[np.intp],
+        known: OwnKnowledge,
+        *,
+        t: float,
+    ) -> dict[int, PairEvidence]:
+        """Of a large team at once what `_of_teammate` works out for each, of those that only tracks say anything of."""
+        found: dict[int, PairEvidence] = {}
+        if not is_wide(len(told), len(mates)):
+            return found
+        nothing = log_evidence_of_nothing(used, doubting=False)[None]
+        plain = [
+            c for c, mate in enumerate(mates) if not (mate.doubting or mate.p_supposed or mate.told(t).any())
+        ]
+        for begin in range(0, len(plain), TEAMMATES_AT_ONCE):
+            some = plain[begin : begin + TEAMMATES_AT_ONCE]
+            cases = [
+                [told[i].of(mates[c].column) for i in np.flatnonzero(looked_at[:, c]).tolist()] for c in some
+            ]
+            M = [np.concatenate([np.zeros((0, 8, 8)), *(M for M, _, _ in each)]) for each in cases]
+            counts = [len(each) for each in M]
+            cov = np.repeat([self._start_cov(mates[c], known) for c in some], counts, axis=0)[:, None]
+            marginal = Marginal(np.concatenate(M), cov, np.unique(self.errors.spread[used]))
+            priors = PriorsOfMany([self._priors[mates[c].drone_id] for c in some], np.cumsum(counts))
+            E = _sense(marginal.log_evidence(priors, self.errors, used, known.heading_sigma))
+            for c, case, rows in zip(some, cases, np.split(E, priors.ends[:-1]), strict=True):
+                found[c] = case, np.concatenate([nothing, rows])
+        return found
+
+    def _let_pairs_sleep(
+        self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], ratio: Array, P: Array
+    ) -> None:
+        """Of a large team, while the own pose is right: of tracks that have a name, the pairs that are far from it by
+        all components of weight. ratio (n, k, m): of these components."""
+        if not is_wide(*P.shape):
+            return
+        columns = [mate.column for mate in mates]
+        for track, log_ratio, p in zip(tracks, ratio, P, strict=True):
+            track.faint[:] = np.nan
+            if self._is_right and p.max() > P_HELD and track.unheard is None:
+                top = log_ratio.max(axis=0)
+                track.faint[columns] = np.where((top < LOG_PAIR_SLEEPS) & (top > -np.inf), top, np.nan)
 
     def _hold_back(
         self,
@@ -272,16 +351,27 @@ class JointMixture:
         log = self._marginal(mate, M, used, known).log_evidence(
             self._priors[mate.drone_id], self.errors, used, known.heading_sigma
         )
-        # Nonsense from a peer explains nothing.
-        return np.nan_to_num(log, nan=LOG_NONSENSE, neginf=LOG_NONSENSE)
+        return _sense(log)
+
+    @staticmethod
+    def _start_cov(mate: Teammate, known: OwnKnowledge) -> Array:
+        return mate.start_cov + (known.start_sigma_m**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
 
     def _marginal(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Marginal:
-        cov = mate.start_cov + (known.start_sigma_m**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
+        cov = self._start_cov(mate, known)
         return Marginal(M, cov, np.unique(self.errors.spread[used]), doubting=mate.doubting)
 
-    def _awake(self) -> NDArray[np.intp]:
-        """The components to work out now: those with weight, and a part of the sleepers."""
+    def _awake(self, tracks: Sequence[TrackEvidence]) -> NDArray[np.intp]:
+        """The components to work out now: those with weight, and a part of the sleepers, which need all pairs."""
         parts = 1 if self.is_settled or self._is_right else SLEEPERS_PARTS_DOUBTFUL
+        self._round += 1
+        self.looks_at_all = (
+            not self._round % ALL_PAIRS_EVERY
+            or not self._is_right
+            or not any(np.isfinite(track.faint).any() for track in tracks)
+        )
+        if not self.looks_at_all:
+            parts = 0
         looked_at = (self.errors.part - self._part) % SLEEPERS_PARTS < parts
         self._part = (self._part + parts) % SLEEPERS_PARTS
         awake = (self._log_weight > LOG_SLEEPS) | looked_at
@@ -309,7 +399,8 @@ class JointMixture:
         self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
         self.is_settled = bool(weight.max() > P_SETTLED and sure.all())
         # That this drone is as it says; whether two that are not in view have mixed up their pads, no track can say.
-        is_told = sure.all() or np.count_nonzero(P.max(axis=1, initial=0.0) > P_SETTLED) >= SURE_NAMES_TELL
+        named = P.max(axis=1, initial=0.0)
+        is_told = sure.all() or named[named > P_HELD].sum() >= NAMES_TELL
         self._is_right = bool(1.0 - self.p_fault > P_SETTLED and is_told)
         return kept, P
 
@@ -317,7 +408,8 @@ class JointMixture:
         self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], known: OwnKnowledge
     ) -> Array:
         """Probability (n, m) of each track and teammate if all starts were unknown, by the likeliest components."""
-        used = np.sort(np.argsort(-self.weight)[:PROOF_COMPONENTS])
+        likely = np.argsort(-self.weight)[:PROOF_COMPONENTS]
+        used = np.sort(likely[self.weight[likely] > 0.0])
         R = np.full((len(used), len(tracks), len(mates)), -np.inf)
         told = [(track.told(), track.likeliest_segment) for track in tracks]
         for c, mate in enumerate(mates):
@@ -379,3 +471,8 @@ class JointMixture:
     ) -> list[Solution]:
         prior = self._priors[mate.drone_id]
         return marginal.solutions(M, prior, self.errors, k=k, heading_sigma=known.heading_sigma, far=far)
+
+
+def _sense(log: Array) -> Array:
+    """Nonsense from a peer explains nothing."""
+    return np.nan_to_num(log, nan=LOG_NONSENSE, neginf=LOG_NONSENSE)

@@ -446,12 +446,16 @@ class TeamPosterior:
         mates = list(self.teammates.values())
         ids, tracks = [mate.drone_id for mate in mates], list(self._tracks.values())
         P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
-        by_motion = self.mixture.by_motion(tracks, mates, self._known).tolist()
-        for id, p, moved in zip(self._tracks, P, by_motion, strict=True):
+        if self.mixture.looks_at_all:
+            rows = self.mixture.by_motion(tracks, mates, self._known).tolist() if tracks else []
+            moved = {id: dict(zip(ids, row, strict=True)) for id, row in zip(self._tracks, rows, strict=True)}
+        else:
+            moved = {id: dict(named.by_motion) for id, named in self.named.items()}
+        for id, p in zip(self._tracks, P, strict=True):
             p_none = max(1.0 - sum(p), 0.0)
-            self.named[id] = named = Named(
-                dict(zip(ids, p, strict=True)), p_none, dict(zip(ids, moved, strict=True))
-            )
+            # Of a track that has come since, motion says nothing yet.
+            by_motion = moved.get(id) or dict.fromkeys(ids, 0.0)
+            self.named[id] = named = Named(dict(zip(ids, p, strict=True)), p_none, by_motion)
             if named.likeliest[1] >= P_BELIEVED:
                 self._sure_t[id] = t
         self._learn_sizes(t)

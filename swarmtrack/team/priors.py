@@ -196,7 +196,10 @@ SLEEPERS_PARTS, SLEEPERS_PARTS_DOUBTFUL = 48, 8
 # of twelve teammates, 1.6.
 BELIEFS_LACK = 3.0
 P_SETTLED = 0.99
-# So many sure names say that the own pose is right, whatever other tracks are.
-SURE_NAMES_TELL = 8
+# So many tracks with a name, by their probabilities, say that the own pose is right, whatever other tracks are.
+NAMES_TELL = 8.0
+# In a large team, a pair of a log ratio below this by all components sleeps while its track has another name, and keeps
+# its ratio; all are looked at every so many weighings. So many teammates are worked out at once.
+LOG_PAIR_SLEEPS, ALL_PAIRS_EVERY, TEAMMATES_AT_ONCE = -3.0, 8, 16
 # Where everything is surer, so often is enough.
 CALM_WEIGHED_EVERY_S = 1.0

@@ -183,6 +183,8 @@ class TrackEvidence:
     _at: Array = field(init=False)
     """(n,) s: the last bearing of each."""
     _camera_at: Array = field(init=False)
+    faint: Array = field(init=False)
+    """(n,): the log ratio of each teammate that is far from what this track is; NaN of one that is to be looked at."""
     _expected: NDArray[np.bool_] = field(init=False)
     """(n,): compared with where it was last seen only."""
     _sized: NDArray[np.bool_] = field(init=False)
@@ -195,6 +197,7 @@ class TrackEvidence:
         self.strangers = StrangerFilters(0)
         self._at, self._camera_at = np.zeros(0), np.zeros((0, 3))
         self._expected, self._sized = np.zeros(0, bool), np.zeros(0, bool)
+        self.faint = np.zeros(0)
         self.grow(n)
 
     @property
@@ -220,6 +223,7 @@ class TrackEvidence:
         self._camera_at = np.concatenate([self._camera_at, np.zeros((more, 3))])
         self._expected = np.concatenate([self._expected, np.zeros(more, bool)])
         self._sized = np.concatenate([self._sized, np.zeros(more, bool)])
+        self.faint = np.append(self.faint, np.full(more, math.nan))
         for segment in self.segments:
             segment.sum = np.concatenate([segment.sum, np.zeros((more, _WIDTH))])
             segment.deviation.grow(n)
@@ -230,6 +234,7 @@ class TrackEvidence:
         """What was said of a teammate counts no more: it is another life."""
         self.size[:, [column]], self.size_log[:, [column]] = _no_size(1)
         self._at[column], self._expected[column], self._sized[column] = -math.inf, False, False
+        self.faint[column] = math.nan
         self.strangers.restart(column)
         for segment in self.segments:
             segment.sum[column] = 0.0
@@ -255,7 +260,7 @@ class TrackEvidence:
 
     def remove(self, column: int) -> None:
         """A teammate is compared no more."""
-        self.unheard = None
+        self.unheard, self.faint = None, np.delete(self.faint, column)
         self.size, self.size_log = np.delete(self.size, column, 1), np.delete(self.size_log, column, 1)
         self._at, self._camera_at = np.delete(self._at, column), np.delete(self._camera_at, column, 0)
         self._expected, self._sized = np.delete(self._expected, column), np.delete(self._sized, column)
@@ -464,6 +469,7 @@ class TrackEvidence:
     def map_components(self, mapped: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
         """The components are others now: mapped takes (k,) of theirs to (k',)."""
         self.unheard = None
+        self.faint[:] = math.nan
         if self.whole is not None:
             self.whole, self._learned = mapped(self.whole), np.zeros(0, int)
         for segment in self.segments:
