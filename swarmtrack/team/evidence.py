@@ -82,11 +82,12 @@ class TeammatePrior:
     """One teammate's prior, by component of the observer's errors.
 
     y (8, 3, k): y at the centre, and its derivatives by ε and δ; far (8, 2, c): the same with a heading of its own that
-    is anywhere, in the first component only, and its derivative by δ.
+    is anywhere, in the first component only, and its derivative by δ; far_squares (3, 36, c): `_squares` of that.
     """
 
     y: Array
     far: Array
+    far_squares: Array
 
     @classmethod
     def of(cls, drone_id: int, errors: OwnErrors) -> TeammatePrior:
@@ -113,7 +114,8 @@ class TeammatePrior:
         far = np.repeat(y[:1, :, [0, 2]], count - 1, axis=0)
         far[:, 0, 0], far[:, 1, 0] = np.cos(angle), np.sin(angle)
         far[:, 0, 1], far[:, 1, 1] = -np.sin(angle), np.cos(angle)
-        return cls(*(np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (y, far)))
+        y, far = (np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (y, far))
+        return cls(y, far, _squares(far))
 
     def products(self, S: Array, used: NDArray[np.intp]) -> Array:
         """(6, n c, k): y_iᵀ S y_j of S (n, c, 36), by the components used; `_squares` has their order."""
@@ -121,7 +123,7 @@ class TeammatePrior:
 
     def far_products(self, S: Array) -> Array:
         """(3, n, c): the same of S (n, 36) with a heading that is anywhere."""
-        return S @ _squares(self.far)
+        return S @ self.far_squares
 
 
 class PriorsOfMany(NamedTuple):
@@ -191,6 +193,15 @@ def moments(found: Sequence[tuple[float, tuple[Array, Array]]]) -> tuple[Array, 
     return mean, np.einsum("i,iab->ab", w, spread)
 
 
+def _inverse(A: Array) -> Array:
+    """Inverses of many symmetric positive definite (…, 3, 3): by cofactors, in a tenth of LAPACK's time."""
+    (a, b, c), (_, d, e), (_, _, f) = np.moveaxis(A, (-2, -1), (0, 1))
+    cofactors = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
+    found = np.stack([cofactors[i] for i in (0, 1, 2, 1, 3, 4, 2, 4, 5)], axis=-1)
+    found /= (a * cofactors[0] + b * cofactors[1] + c * cofactors[2])[..., None]
+    return found.reshape(A.shape)
+
+
 def log_evidence_of_nothing(used: NDArray[np.intp], *, doubting: bool) -> Array:
     """(len(used),): what `Marginal.log_evidence` says of M = 0."""
     p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
@@ -215,9 +226,10 @@ class Marginal:
         Sigma = cov + np.array(
             [(spread**2 + m**2) * _HORIZONTAL for m in (0.0, *START_OFF_SIGMA_M) for spread in spreads]
         )
-        P, c = np.linalg.inv(Sigma), self._log_shares.shape[1]
+        inverse = np.linalg.inv if cov.ndim == 2 else _inverse
+        P, c = inverse(Sigma), self._log_shares.shape[1]
         A = M[:, None, LEVEL:, LEVEL:] + P
-        A_inv = np.linalg.inv(A)
+        A_inv = inverse(A)
         X = M[:, None, :LEVEL, LEVEL:] @ A_inv
         S = np.empty((len(M), len(spreads) * c, 8, 8))
         S[..., :LEVEL, :LEVEL] = M[:, None, :LEVEL, :LEVEL] - X @ M[:, None, LEVEL:, :LEVEL]

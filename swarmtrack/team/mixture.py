@@ -44,6 +44,7 @@ from swarmtrack.team.priors import (
     P_HELD,
     P_SETTLED,
     P_UNLOCATED_SEEN,
+    PAIRS_AT_ONCE,
     PLACE_COMPONENTS,
     PROOF_COMPONENTS,
     SLEEPERS_PARTS,
@@ -51,14 +52,10 @@ from swarmtrack.team.priors import (
     SOMEWHERE_SIGMA_M,
     START_LEAST_SIGMA_M,
     STRANGERS_SEEN,
-    TEAMMATES_AT_ONCE,
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
 from swarmtrack.team.unheard import UnheardTrack
-
-# Of one teammate: `Told.of` each track that is looked at, and log evidence (1 + c, k) of nothing and of all these.
-PairEvidence = tuple[list[tuple[Array, Array, int]], Array]
 
 
 class OwnKnowledge(NamedTuple):
@@ -70,8 +67,9 @@ class OwnKnowledge(NamedTuple):
 
 class JointMixture:
     """`weight` (k,) of the components; `p_fault`: the probability that the own heading or start is wrong; `is_settled`:
-    whether one component, and each track's name, is sure; `unlocated`: how many teammates live and have not said where,
-    each of which may be any track."""
+    whether one component, and each track's name, is sure, or in a large team the own pose; `unlocated`: how many
+    teammates live and have not said where, each of which may be any track; `looks_at_all`: whether the last weighing
+    looked at all pairs."""
 
     def __init__(self, own: int) -> None:
         """own: our ID."""
@@ -143,11 +141,16 @@ class JointMixture:
         base = [past.log for past in pasts]
         told = [track.told() for track in tracks]
         each, looked_at = self._pairs(tracks, mates, base)
-        ready = self._evidence_of_many(mates, told, looked_at, used, known, t=t)
-        for c, mate in enumerate(mates):
-            log_w = log_w + self._of_teammate(
-                c, mate, tracks, told, each, looked_at=looked_at, ready=ready, used=used, t=t, known=known
+        many = self._of_one_kind(mates, t) if is_wide(len(tracks), len(mates)) else []
+        if many:
+            log_w = log_w + self._of_many(
+                many, mates, tracks, told, each, looked_at=looked_at, used=used, t=t, known=known
             )
+        for c, mate in enumerate(mates):
+            if c not in many:
+                log_w = log_w + self._of_teammate(
+                    c, mate, tracks, told, each, looked_at=looked_at, used=used, t=t, known=known
+                )
         waiting = [i for i, track in enumerate(tracks) if track.waits]
         worth = self._log_weight[used] > LOG_SLEEPS
         for i, past in pasts_from_now(waiting, pasts, each, worth).items():
@@ -210,7 +213,6 @@ class JointMixture:
         each: Sequence[Array],
         *,
         looked_at: NDArray[np.bool_],
-        ready: Mapping[int, PairEvidence],
         used: NDArray[np.intp],
         t: float,
         known: OwnKnowledge,
@@ -218,9 +220,7 @@ class JointMixture:
         """(k,): what is known of one teammate says of the components used; its log ratios go into column c of `each`,
         by segment of each track that is looked at (n, m)."""
         before, at_tracks = mate.told(t), np.flatnonzero(looked_at[:, c]).tolist()
-        if c in ready:
-            cases, E = ready[c]
-        elif before.any() or mate.p_supposed or any(told[i].known[mate.column] for i in at_tracks):
+        if before.any() or mate.p_supposed or any(told[i].known[mate.column] for i in at_tracks):
             cases = [told[i].of(mate.column) for i in at_tracks]
             new = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _, _ in cases)])
             E = self._evidence(mate, before + new, used, known)
@@ -273,37 +273,67 @@ class JointMixture:
             each[i][:] = np.where(looked_at[i], -np.inf, faint)
         return each, looked_at
 
-    def _evidence_of_many(
-        self,
-        mates: Sequence[Teammate],
-        told: Sequence[Told],
-        looked_at: NDArray[np.bool_],
-        used: NDArray[np.intp],
-        known: OwnKnowledge,
-        *,
-        t: float,
-    ) -> dict[int, PairEvidence]:
-        """Of a large team at once what `_of_teammate` works out for each, of those that only tracks say anything of."""
-        found: dict[int, PairEvidence] = {}
-        if not is_wide(len(told), len(mates)):
-            return found
-        nothing = log_evidence_of_nothing(used, doubting=False)[None]
-        plain = [
+    @staticmethod
+    def _of_one_kind(mates: Sequence[Teammate], t: float) -> list[int]:
+        """The teammates of whose frame nothing is known but what they state."""
+        return [
             c for c, mate in enumerate(mates) if not (mate.doubting or mate.p_supposed or mate.told(t).any())
         ]
-        for begin in range(0, len(plain), TEAMMATES_AT_ONCE):
-            some = plain[begin : begin + TEAMMATES_AT_ONCE]
-            cases = [
-                [told[i].of(mates[c].column) for i in np.flatnonzero(looked_at[:, c]).tolist()] for c in some
-            ]
-            M = [np.concatenate([np.zeros((0, 8, 8)), *(M for M, _, _ in each)]) for each in cases]
-            counts = [len(each) for each in M]
-            cov = np.repeat([self._start_cov(mates[c], known) for c in some], counts, axis=0)[:, None]
-            marginal = Marginal(np.concatenate(M), cov, np.unique(self.errors.spread[used]))
-            priors = PriorsOfMany([self._priors[mates[c].drone_id] for c in some], np.cumsum(counts))
-            E = _sense(marginal.log_evidence(priors, self.errors, used, known.heading_sigma))
-            for c, case, rows in zip(some, cases, np.split(E, priors.ends[:-1]), strict=True):
-                found[c] = case, np.concatenate([nothing, rows])
+
+    def _of_many(
+        self,
+        many: Sequence[int],
+        mates: Sequence[Teammate],
+        tracks: Sequence[TrackEvidence],
+        told: Sequence[Told],
+        each: Sequence[Array],
+        *,
+        looked_at: NDArray[np.bool_],
+        used: NDArray[np.intp],
+        t: float,
+        known: OwnKnowledge,
+    ) -> Array:
+        """What `_of_teammate` does for one, for many `_of_one_kind` at once."""
+        column = np.array([mate.column for mate in mates])
+        anywhere = np.array([0.0 if mate.knows_start else LOG_ANYWHERE for mate in mates])
+        nothing = log_evidence_of_nothing(used, doubting=False)
+        is_one, part, size = np.isin(np.arange(len(mates)), many), [], 0
+        for i, (track, found) in enumerate(zip(tracks, told, strict=True)):
+            at = np.flatnonzero(looked_at[i] & is_one & found.known[column])
+            rows = found.of_many(column[at])
+            rows.log[: rows.whole] += self.log_seen + anywhere[at] + track.log_weak(t)
+            rows.log[rows.whole :] -= math.log(len(self._priors))
+            part.append((each[i], at, rows))
+            size += rows.log.size
+            if size < PAIRS_AT_ONCE / (len(used) + 20) and i < len(tracks) - 1:
+                continue
+            E = self._of_rows([(at, rows.M) for _, at, rows in part], mates, used, known) - nothing
+            ends = np.cumsum([rows.log.size for _, _, rows in part])
+            for (into, at, rows), evidence in zip(part, np.split(E, ends[:-1]), strict=True):
+                log = evidence.reshape(*rows.log.shape, len(used)) + rows.log[:, :, None]
+                log = np.concatenate([log_sum(log[: rows.whole], 0)[None], log[rows.whole :]])
+                into[:, :, at] = log.swapaxes(1, 2)
+            part, size = [], 0
+        return np.asarray(len(many) * (nothing - nothing.max()))
+
+    def _of_rows(
+        self,
+        rows: Sequence[tuple[NDArray[np.intp], Array]],
+        mates: Sequence[Teammate],
+        used: NDArray[np.intp],
+        known: OwnKnowledge,
+    ) -> Array:
+        """(n, k): log evidence of matrices (…, c, 8, 8) by the components used, one after the other; with each, which c
+        of the teammates they are of."""
+        of = np.concatenate([np.tile(at, len(M)) for at, M in rows])
+        order = np.argsort(of, kind="stable")
+        M = np.concatenate([M.reshape(-1, 8, 8) for _, M in rows])[order]
+        some, counts = np.unique(of, return_counts=True)
+        cov = np.repeat([self._start_cov(mates[c], known) for c in some], counts, axis=0)[:, None]
+        priors = PriorsOfMany([self._priors[mates[c].drone_id] for c in some], np.cumsum(counts))
+        marginal = Marginal(M, cov, np.unique(self.errors.spread[used]))
+        found = np.empty((len(M), len(used)))
+        found[order] = _sense(marginal.log_evidence(priors, self.errors, used, known.heading_sigma))
         return found
 
     def _let_pairs_sleep(
@@ -385,7 +415,7 @@ class JointMixture:
         log_w (k,) without matchings; off: by component of all, that the heading is off. Returns which of `used` were
         matched, and the probability (n, m) of each pair."""
         R = np.where(log_ratio <= LOG_RATIO_LEAST, -np.inf, log_ratio)
-        kept = worth_matching(R, log_w)
+        kept = worth_matching(R, log_w) if self.looks_at_all else np.arange(len(used))
         found = match_all(R[kept])
         log_w = log_w[kept] + found.log_total
         log_w = log_w - log_w.max()
@@ -397,11 +427,12 @@ class JointMixture:
         none = 1.0 - P.sum(axis=1)
         sure = np.maximum(P.max(axis=1, initial=0.0), none) > P_SETTLED
         self.p_fault = float(self.weight @ np.where(self.errors.mine, 1.0, off))
-        self.is_settled = bool(weight.max() > P_SETTLED and sure.all())
         # That this drone is as it says; whether two that are not in view have mixed up their pads, no track can say.
         named = P.max(axis=1, initial=0.0)
         is_told = sure.all() or named[named > P_HELD].sum() >= NAMES_TELL
         self._is_right = bool(1.0 - self.p_fault > P_SETTLED and is_told)
+        is_known = weight.max() > P_SETTLED and sure.all()
+        self.is_settled = bool(is_known or (self._is_right and is_wide(*P.shape)))
         return kept, P
 
     def by_motion(

@@ -115,6 +115,15 @@ class Compared(NamedTuple):
         )
 
 
+class ToldOfMany(NamedTuple):
+    """M (c, m, 8, 8) and log weights (c, m): first, by distance, of the segment that began with the track, `whole` of
+    them; then of the others. A distance that does not count for a teammate has −inf."""
+
+    M: Array
+    log: Array
+    whole: int
+
+
 class Told(NamedTuple):
     """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), what of these is by
     a place of before (s, n), and whether there was any bearing (n,). size, size_log: `TrackEvidence.size`."""
@@ -133,6 +142,13 @@ class Told(NamedTuple):
         near = np.flatnonzero(np.isfinite(self.size_log[:, column]))
         M = np.concatenate([self.M[0, column] + self.size[near, column], self.M[1:, column]])
         return M, np.concatenate([log[0] + self.size_log[near, column], log[1:]]), len(near)
+
+    def of_many(self, columns: NDArray[np.intp]) -> ToldOfMany:
+        """For some teammates."""
+        near = np.isfinite(self.size_log[:, columns]).any(axis=1)
+        M = np.concatenate([self.M[0, columns] + self.size[near][:, columns], self.M[1:, columns]])
+        log = np.concatenate([self.log[0, columns] + self.size_log[near][:, columns], self.log[1:, columns]])
+        return ToldOfMany(M, log, int(near.sum()))
 
     def since(self, segment: int, column: int) -> tuple[Array, Array]:
         """As `of`, of one segment."""
