@@ -205,3 +205,18 @@ def test_a_place_that_is_known_by_nothing_begins_at_a_ray_and_its_width() -> Non
     off = place.mean - truth.place(found.t)
     assert float(off @ np.linalg.solve(place.cov, off)) < 21.0
     assert math.sqrt(np.trace(place.cov)) < 5.0
+
+
+def test_without_one_of_its_teammates_the_place_stays_as_it_was() -> None:
+    found = flown(Truth(3), 10.0, placed_s=5.0, by=(1, 2, 3))
+    before, weight = found.moments(slice(0, 12)), found.weights.copy()
+    found.remove_teammate(2)
+    after = found.moments(slice(0, 12))
+    assert list(found) == [1, 3]
+    assert after.mean == pytest.approx(before.mean, abs=1e-12)
+    assert after.cov == pytest.approx(before.cov, abs=1e-12)
+    assert found.weights == pytest.approx([weight[0] + weight[3], weight[1], weight[2], weight[4]])
+    truth = Truth(3)
+    assert found.see(3, truth.ray(3, found.t))
+    found.add_teammate(2, 0.04 * np.eye(3), 0.2)
+    assert found.see(2, truth.ray(2, found.t))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
 from swarmtrack.carried.own_place import OwnPlace
+from swarmtrack.carried.priors import ANCHORS_MOST
 from swarmtrack.messages import Announcement, Array, Sighting, SightingReport
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.relative.looks import TeamLook
@@ -111,3 +114,34 @@ def test_nobody_says_so_within_a_second_of_the_last_ray() -> None:
     carried = found.carried(9.0)
     assert carried is not None
     assert carried.by == ()
+
+
+def test_of_many_teammates_the_first_hold_and_others_take_the_place_of_the_lost() -> None:
+    ids, bearings = range(2, 6 + ANCHORS_MOST), 2.0 * np.pi * np.arange(4 + ANCHORS_MOST) / 20.0
+    there = {id: 8.0 * np.array([np.cos(b), np.sin(b), 0.0]) for id, b in zip(ids, bearings, strict=True)}
+
+    class Many(Team):
+        def said_place(self, drone_id: int, t: float) -> SaidPlace | None:
+            return SaidPlace(there[drone_id], 0.0, 1.0, 1e-3)
+
+    found = OwnPlace(US, WIDTH, cameras=[np.zeros(3)], start_sigma_m=0.05)
+    for id in ids:
+        found.announce(Announcement(id, "0" * 8, 1, 0.0, 0.0, there[id], EYE, 0.01 * EYE))
+
+    def see(begin: float, end: float, seen: Sequence[int]) -> tuple[int, ...]:
+        for t in np.arange(begin, end, 0.1).tolist():
+            found.observe(
+                TeamLook(
+                    t, np.zeros(3), np.zeros(3), tuple((id, id) for id in seen),
+                    np.array([there[id] / 8.0 for id in seen]), np.tile(1e-5 * EYE, (len(seen), 1, 1)),
+                    np.full(len(seen), WIDTH.width_m / 8.0), np.ones(len(seen)),
+                ),
+                0, own(t), None, Many(),
+            )  # fmt: skip
+        carried = found.carried(found._filter.t)  # type: ignore[union-attr]
+        assert carried is not None
+        assert np.linalg.norm(carried.position) < 0.5
+        return carried.by
+
+    assert see(0.0, 3.0, ids) == tuple(ids)[:ANCHORS_MOST]
+    assert see(3.0, 6.0, ids[4:]) == tuple(ids)[4:]
