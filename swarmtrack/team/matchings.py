@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.log_sums import log_sum
-from swarmtrack.team.priors import BELIEFS_LACK, LOG_RATIO_LEAST, LOG_RATIO_MOST, LOG_SLEEPS
+from swarmtrack.team.priors import BELIEFS_LACK_PER_TRACK, LOG_RATIO_LEAST, LOG_RATIO_MOST, LOG_SLEEPS
 from swarmtrack.tracking.beliefs_of_each import believed
 from swarmtrack.tracking.listed_matchings import MatchedOfEach
 from swarmtrack.tracking.marginals_of_each import matched_of_each
@@ -73,13 +73,14 @@ def _within(log_ratio: Array) -> tuple[Array, Array]:
 
 def worth_matching(R: Array, log_w: Array) -> NDArray[np.intp]:
     """The components that may have weight, by bounds; R (k, n, m) log ratios, log_w (k,) log weights without them. In
-    wide matchings bounds are far apart, and beliefs tell, which lack BELIEFS_LACK at most."""
+    wide matchings bounds are far apart, and beliefs tell, with what these may lack."""
     if not R.size:
         return np.flatnonzero(log_w > log_w.max() + LOG_SLEEPS)
     if is_wide(R.shape[1], R.shape[2]):
         within, beyond = _within(R)
         log_w = log_w + believed(within, np.zeros(len(R), bool))[0].log_total + beyond.sum(axis=1)
-        return np.flatnonzero(log_w > log_w.max() + LOG_SLEEPS - BELIEFS_LACK)
+        lack = BELIEFS_LACK_PER_TRACK * min(R.shape[1:])
+        return np.flatnonzero(log_w > log_w.max() + LOG_SLEEPS - lack)
     by_row = np.logaddexp(0.0, log_sum(R, 2)).sum(axis=1)
     by_column = np.logaddexp(0.0, log_sum(R, 1)).sum(axis=1)
     upper = log_w + np.minimum(by_row, by_column)

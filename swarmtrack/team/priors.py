@@ -192,9 +192,8 @@ ELSEWHERE_GATE, ELSEWHERE_LEAST_M, P_ELSEWHERE = 16.0, 0.5, 0.99
 # them while a component, or a name, is less sure than that.
 LOG_SLEEPS = -12.0
 SLEEPERS_PARTS, SLEEPERS_PARTS_DOUBTFUL = 48, 8
-# By beliefs alone the log weight of a component's matchings lacks so much at most: of twelve tracks that all may be all
-# of twelve teammates, 1.6.
-BELIEFS_LACK = 3.0
+# By beliefs alone the log weight of all matchings may lack so much for each track: ln √2 (Anari & Rezaei 2019).
+BELIEFS_LACK_PER_TRACK = 0.35
 P_SETTLED = 0.99
 # So many tracks with a name, by their probabilities, say that the own pose is right, whatever other tracks are.
 NAMES_TELL = 8.0

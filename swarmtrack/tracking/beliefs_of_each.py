@@ -12,9 +12,11 @@ the row while the row's likeliest other is taken, times the largest such share o
 more than `BELIEF_LOOP_LEAST` that are in loops of such are swept exactly (`marginals.py`), with what the others leave
 to their rows and columns. Where more than `BELIEF_LOOP_WIDEST` rows would be open, the weakest of them are not.
 
-Against exact sums, of 13 x 29 as recorded with thirty drones: p within 1e-4, log weights within 3e-4. Of random ones
-with sure pairs and six swaps, 12 x 16 and 13 x 29, p is within 0.01, and above 0.9 at most 0.004 too sure. Where nearly
-all pairs of a square compete, 12 x 12, p is off by up to 0.12, log weights by 1.6.
+Against exact sums, of 13 x 29 as recorded with thirty drones: p within 1e-4, log weights within 3e-4. Of random ones:
+13 x 29 with sure pairs and six swaps, p within 0.01, and above 0.9 at most 0.004 too sure; 12 x 16 of normal ratios,
+within 0.03, at most 0.01 too sure. Where nearly all pairs of a square compete, 12 x 12, p is off by up to 0.12 and log
+weights lack up to 1.6. `tests/tracking/test_beliefs_of_each.py` has such. Beliefs alone take two that fit two places
+alike for sure: off by 0.4, and by 0.5 in the log weight.
 """
 
 from __future__ import annotations
