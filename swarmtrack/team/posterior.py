@@ -36,6 +36,7 @@ from swarmtrack.team.priors import (
     CARRIED_MOST,
     ELSEWHERE_GATE,
     ELSEWHERE_LEAST_M,
+    FAR_COMPARED_EVERY,
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
@@ -350,14 +351,17 @@ class TeamPosterior:
             log_there=np.array([mate.log_waits(scan.t) for mate, _ in near]),
         )
         knows = np.array([mate.knows(scan.t) for mate, _ in near])
+        with_far = round(scan.t / ROUND_S) % FAR_COMPARED_EVERY == 0
         for id in ids:
             if id not in self._tracks:
                 weak = scan.bearings[id].weak
                 self._tracks[id] = TrackEvidence(len(self.teammates), scan.camera, weak=weak)
             self._expect(id, scan, mates)
             track = self._tracks[id]
-            of = compared.only(knows | ~track.compared[compared.columns])
-            track.add(scan.bearings[id], of, scan.bearings[id].camera - self._start)
+            which = knows | ~track.compared[compared.columns]
+            if not with_far:
+                which &= np.isnan(track.faint[compared.columns])
+            track.add(scan.bearings[id], compared.only(which), scan.bearings[id].camera - self._start)
 
     def _deviation(self, scan: BearingScan, said: Sequence[SaidPlace]) -> Deviation:
         """How far teammates may be from where they say, and this drone along its way: by their clocks and its own."""

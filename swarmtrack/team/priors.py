@@ -198,8 +198,8 @@ P_SETTLED = 0.99
 # So many tracks with a name, by their probabilities, say that the own pose is right, whatever other tracks are.
 NAMES_TELL = 8.0
 # In a large team, a pair of a log ratio below this by all components sleeps while its track has another name, and keeps
-# its ratio; all are looked at every so many weighings. So many matrices, times components
-# and 20, are worked out at once: some 30 MB.
-LOG_PAIR_SLEEPS, ALL_PAIRS_EVERY, PAIRS_AT_ONCE = -3.0, 8, 2e5
+# its ratio; all are looked at every so many weighings, and compared every so many rounds. So many matrices, times
+# components and 20, are worked out at once: some 30 MB.
+LOG_PAIR_SLEEPS, ALL_PAIRS_EVERY, FAR_COMPARED_EVERY, PAIRS_AT_ONCE = -3.0, 8, 4, 2e5
 # Where everything is surer, so often is enough.
 CALM_WEIGHED_EVERY_S = 1.0
