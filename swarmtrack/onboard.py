@@ -311,6 +311,11 @@ class Onboard:
         pose = self._ego.at(t)
         return None if pose is None else self._stated(pose)
 
+    def announced_pose(self, t: float) -> TeamPose | None:
+        """`ego_pose`, as far off as the start that the team knows this drone by."""
+        pose = self._ego.at(t)
+        return None if pose is None else self._stated(self._ego.from_start(pose))
+
     def camera_pose(self, t: float, camera: int = 0) -> Pose | None:
         """world_from_camera at t of one of the cameras, in the team frame; None where the drone does not know."""
         ego = self._ego.at(t)

@@ -156,6 +156,7 @@ class TeamView(CamerasView, ReportsView, Protocol):
     """For teamwork: what is published."""
 
     def ego_pose(self, t: float) -> TeamPose | None: ...
+    def announced_pose(self, t: float) -> TeamPose | None: ...
 
 
 class Perceived(DetectorView, VideoView, HealthView, FormationView, FeedView, PilotView, TeamView, Protocol):
