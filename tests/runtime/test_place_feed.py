@@ -10,9 +10,13 @@ from support.autopilot_flight import Flight
 from support.fake_autopilot import FakeAutopilot, FakePx4
 from swarmtrack.autopilot.fed_position import FedPosition
 from swarmtrack.autopilot.global_position import GlobalPosition
+from swarmtrack.clock import ManualClock
+from swarmtrack.config.drone import load_config
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
 from swarmtrack.lab.autopilots.senses import GpsFix
 from swarmtrack.motion.ego import AutopilotPlace
+from swarmtrack.runtime.agent import make_health, make_notices, make_place_feed
+from swarmtrack.runtime.assembly import assemble
 from swarmtrack.runtime.place_feed import FeedParameters, PlaceFeed
 
 HERE = np.array([4.0, 1.0, -6.0])
@@ -265,3 +269,25 @@ async def test_of_a_drone_that_knows_itself_by_gps_the_local_frame_is_learned():
         feeding.fly(2.0)
         m = vehicle.fed()[-1]
         assert (m.x, m.y, m.z) == pytest.approx((HERE[0], HERE[1] - 3.0, HERE[2]), abs=0.05)
+
+
+AGENT = """
+drone.id = 1
+network.transport = "memory"
+autopilot = {{ link = "udpin:127.0.0.1:14999", feed = "{feed}", feed_hz = 10.0, feed_max_sigma_m = 0.5 }}
+[camera]
+source = "http://127.0.0.1:9/"
+intrinsics = {{ fx = 600.0, fy = 600.0, cx = 320.0, cy = 256.0, width = 640, height = 512 }}
+"""
+
+
+@pytest.mark.parametrize(("feed", "links"), [("odometry", ["feed"]), ("none", [])])
+def test_an_agent_feeds_its_autopilot_only_where_its_config_says_so(tmp_path, feed, links):
+    path = tmp_path / "drone.toml"
+    path.write_text(AGENT.format(feed=feed), encoding="utf-8")
+    parts = assemble(load_config(path), ManualClock(10.0))
+    made = make_place_feed(parts, make_notices(parts))
+    assert (made is not None) == bool(links)
+    assert (parts.fed is not None) == bool(links)
+    health = make_health(parts, None, made)
+    assert [link.name for link in health.links() if link.name == "feed"] == links
