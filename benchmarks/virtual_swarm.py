@@ -365,7 +365,7 @@ class VirtualSwarm:
 
     def _announce(self, drone_id: int, drone: _Drone, now: float) -> None:
         drone.announce_at = np.inf
-        pose = drone.onboard.ego_pose(now)
+        pose = drone.onboard.announced_pose(now)
         if pose is None:
             drone.announce_at = now + 0.1
             return

@@ -62,7 +62,7 @@ from swarmtrack.messages import (
     VisualTurn,
 )
 from swarmtrack.motion.carried_place import CarriedPlace
-from swarmtrack.motion.ego import EgoHistory, TeamPose
+from swarmtrack.motion.ego import AutopilotPlace, EgoHistory, TeamPose
 from swarmtrack.motion.exposures import WaitingScans
 from swarmtrack.motion.ground_heights import GroundHeightNews, GroundHeights
 from swarmtrack.motion.gyro import GyroHistory, Orientation
@@ -311,6 +311,11 @@ class Onboard:
         pose = self._ego.at(t)
         return None if pose is None else self._stated(pose)
 
+    def announced_pose(self, t: float) -> TeamPose | None:
+        """`ego_pose`, as far off as the start that the team knows this drone by."""
+        pose = self._ego.at(t)
+        return None if pose is None else self._stated(self._ego.from_start(pose))
+
     def camera_pose(self, t: float, camera: int = 0) -> Pose | None:
         """world_from_camera at t of one of the cameras, in the team frame; None where the drone does not know."""
         ego = self._ego.at(t)
@@ -340,6 +345,11 @@ class Onboard:
     def carried(self) -> CarriedPlace | None:
         """Where this drone is by its teammates; None where its autopilot's position counts."""
         return self._ego.carried
+
+    @property
+    def place_for_autopilot(self) -> AutopilotPlace | None:
+        """`EgoHistory.for_autopilot`."""
+        return self._ego.for_autopilot
 
     @property
     def team_from_local(self) -> Array:
@@ -464,6 +474,8 @@ class Onboard:
         """Names for the tracks after a scan of a camera, and what the team hears of them. Returns the drones that
         should announce their pose again."""
         placeable = self._picture_turns.placeable(tracks)
+        # The team knows this drone by the start that it announced, and by how far off that was: both lasts.
+        own = self._ego.from_start(own)
         vouched, astray, wanted = self._identities.observe(placeable, own, number)
         self._events += astray
         for track_id in vouched:
@@ -486,7 +498,7 @@ class Onboard:
         if not self._ego.may_be_carried:
             return
         was_suspect = self._own_place.is_suspect
-        self._own_place.observe(look, number, stated, self._ego.newest_t, self._identities)
+        self._own_place.observe(look, number, stated, self._ego.stated_t, self._identities)
         if self._own_place.is_suspect and not was_suspect:
             self._identities.doubt_origin(self._own_place.off_m)
         self._ego.carried = self._own_place.carried(t)

@@ -23,7 +23,7 @@ from swarmtrack.messages import (
     StrangerReport,
 )
 from swarmtrack.motion.carried_place import CarriedPlace
-from swarmtrack.motion.ego import TeamPose
+from swarmtrack.motion.ego import AutopilotPlace, TeamPose
 from swarmtrack.motion.gyro import Orientation
 from swarmtrack.motion.gyro_bias import KnownGyroBias
 from swarmtrack.motion.time_offset import OffsetEstimate
@@ -130,6 +130,13 @@ class FormationView(Protocol):
     def own_flight(self, now: float) -> OwnFlight | None: ...
 
 
+class FeedView(Protocol):
+    """For an autopilot that is fed: the drone's place."""
+
+    @property
+    def place_for_autopilot(self) -> AutopilotPlace | None: ...
+
+
 class ReportsView(Protocol):
     """What this drone reports to its team."""
 
@@ -149,9 +156,10 @@ class TeamView(CamerasView, ReportsView, Protocol):
     """For teamwork: what is published."""
 
     def ego_pose(self, t: float) -> TeamPose | None: ...
+    def announced_pose(self, t: float) -> TeamPose | None: ...
 
 
-class Perceived(DetectorView, VideoView, HealthView, FormationView, PilotView, TeamView, Protocol):
+class Perceived(DetectorView, VideoView, HealthView, FormationView, FeedView, PilotView, TeamView, Protocol):
     """All views, for those who hand them on."""
 
     @property

@@ -13,6 +13,7 @@ from typing import Any, assert_never
 
 import numpy as np
 
+from swarmtrack.benchmarks.formation.fed import FedAutopilot
 from swarmtrack.benchmarks.virtual_swarm import Exposure, Eyes, Said, VirtualSwarm
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.lab.world.guided import GuidedDrone
@@ -61,6 +62,7 @@ class Fault(enum.Enum):
     GLITCH = "its receiver's position leaps by ten metres, and back"
     RETURNS = "its autopilot returns to the start by a failsafe, and its pilot lets it"
     LANDS = "its autopilot has no position, tells none, and lands where it is"
+    FED = "its autopilot has no position, and is fed ours over its link"
     HEIGHT_DRIFT = "its autopilot believes that it climbs, and flies by that"
     PUSHED = "it flies otherwise than its autopilot is told, level"
 
@@ -70,13 +72,15 @@ GOING_DOWN = (Fault.RETURNS, Fault.LANDS)
 
 @dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
 class Failure:
-    """A fault, of the drone `victim`, from begins_s to ends_s, world time. speed_m_s: of a drift, or of a push."""
+    """A fault, of the drone `victim`, from begins_s to ends_s, world time. speed_m_s: of a drift, or of a push; feeds:
+    whether an autopilot without a position is fed."""
 
     fault: Fault
     victim: int
     begins_s: float = 20.0
     ends_s: float = math.inf
     speed_m_s: float = 0.0
+    feeds: bool = True
 
     def lasts(self, now: float) -> bool:
         return self.begins_s <= now < self.ends_s
@@ -98,6 +102,16 @@ class FailingSwarm(VirtualSwarm):
         self._picture: Detections | None = None
         if failure is not None and failure.fault is Fault.STUCK_CAMERA:
             self._eyes = self._stuck(self._eyes)
+        self.fed: FedAutopilot | None = None
+        """The victim's, where it is flown over its link."""
+        if failure is not None and failure.fault is Fault.FED:
+            self.fed = FedAutopilot(
+                scenario,
+                failure.victim,
+                self.onboard(failure.victim),
+                is_fed=failure.feeds,
+                lost=failure.lasts,
+            )
 
     def _is(self, fault: Fault, now: float, *drones: int) -> bool:
         """Whether that fault is there, and of one of these drones."""
@@ -195,6 +209,9 @@ class FailingSwarm(VirtualSwarm):
         rate = self.scenario.imu_rate_hz if what == "imu" else EgoParameters().rate_hz
         now = index / rate
         failure = self.failure
+        if self.fed is not None and failure is not None and failure.victim == drone_id:
+            self.fed.fly(now)
+            return
         boots = (
             self._is(Fault.REBOOT, now, drone_id) and failure is not None and now < failure.begins_s + BOOTS_S
         )

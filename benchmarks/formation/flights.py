@@ -143,6 +143,8 @@ class FormationFlight(FailingSwarm):
         self._followers = {drone: Follower(self._of(drone)) for drone in self.slots if drone != LEADER}
         self._whys = dict.fromkeys(self._followers, Why.NOT_ENGAGED)
         self._judged = -1
+        self._is_engaged = False
+        """Whether the pilot of a follower on its link has engaged it."""
         self.samples: list[FlightSample] = []
 
     def run(self) -> list[FlightSample]:
@@ -189,6 +191,12 @@ class FormationFlight(FailingSwarm):
         if not engagement.number:
             # It stays where its pilot has it, or its failsafe takes it home.
             drone.command(now, SetPoint(now, position=self.way_home(drone_id, now)))
+            return
+        if self.fed is not None and self.failure is not None and drone_id == self.failure.victim:
+            if not self._is_engaged:
+                self.fed.engage(now)
+            self._is_engaged = True
+            self.fed.command(told.velocity, told.yaw_rate)
             return
         flown = self.flown_as_told(drone_id, told.velocity, now)
         drone.command(now, SetPoint(now, velocity=flown, yaw_rate=told.yaw_rate))

@@ -134,6 +134,13 @@ GROUND_FRESH_S = 0.2
 # Cosine of the tilt, 37°: beyond, it measures the ground beside the drone.
 GROUND_LEAST_UPRIGHT_COSINE = 0.8
 
+# Fed positions (`fed_position`): after the last fed place an estimator carries on for so long at most: EKF3 drops to
+# attitude after 15 s, EKF2 after 5 s. And so long a receiver must have a fix again before an estimator goes by it.
+FED_POSITION_RESTS_S, FED_FIX_BACK_S = 30.0, 10.0
+# s between two positions of one estimator of which the origin of its local frame is learned.
+LOCAL_ORIGIN_GAP_S = 0.2
+LOCAL_ORIGIN_HZ, FED_FIX_HZ = 5.0, 2.0
+
 # GPS (`global_position`): per axis, of a receiver that does not say; open sky, no corrections.
 GPS_USUAL_SIGMA_M = 1.5
 # What ArduPilot's estimator asks of a receiver before it uses it.

@@ -26,6 +26,7 @@ from swarmtrack.autopilot.candidates import AutopilotAddress, AutopilotCandidate
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter, heartbeat
 from swarmtrack.autopilot.datagrams import Address
 from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.fed_position import FedPosition
 from swarmtrack.autopilot.flight import FlightWatch
 from swarmtrack.autopilot.framer import FAST_CRC, HEARTBEAT, HEARTBEAT_HEADER, V2, Framer, MavlinkFrame
 from swarmtrack.autopilot.global_position import GlobalPosition
@@ -37,10 +38,12 @@ from swarmtrack.autopilot.limits import (
     CURRENT_MODE_HZ,
     EARLY_FRAMES_KEPT,
     FASTEST_IMU_HZ,
+    FED_FIX_HZ,
     FIRST_RETRY_S,
     FRAME_FLUSH_AFTER_S,
     LINE_SHARE,
     LINK_TICK_S,
+    LOCAL_ORIGIN_HZ,
     LONGEST_RETRY_S,
     MAVLINK_1_AFTER_S,
     NAMED_SOURCES,
@@ -55,13 +58,20 @@ from swarmtrack.autopilot.pilot_switch import RC_CHANNELS, PilotSwitch
 from swarmtrack.autopilot.remote_id import RemoteIdReader
 from swarmtrack.autopilot.senders import flight_states_apart
 from swarmtrack.autopilot.signing import Codec, read_key
-from swarmtrack.autopilot.streams import GLOBAL_POSE, LOCAL_POSE, Answer, StreamRequests
+from swarmtrack.autopilot.streams import (
+    GLOBAL_POSE,
+    GPS_RAW_INT,
+    LOCAL_POSE,
+    LOCAL_POSITION_NED,
+    Answer,
+    StreamRequests,
+)
 from swarmtrack.autopilot.telemetry import Telemetry
 from swarmtrack.clock import Clock
 from swarmtrack.errors import SourceError
 from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.mavlink_dialect import CURRENT_MODE
-from swarmtrack.messages import LinkStatus, RemoteIdClaim
+from swarmtrack.messages import Array, LinkStatus, RemoteIdClaim
 from swarmtrack.sources import AutopilotListener
 
 log = logging.getLogger(__name__)
@@ -79,9 +89,12 @@ def _check(imu_rate_hz: float, system_id: int | None) -> None:
         raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
 
 
-def _rates(*, by_gps: bool, channels: bool, mode: bool) -> dict[int, float]:
-    """Hz by message, beside gyro and attitude: of places, of the transmitter's channels, of the mode."""
+def _rates(*, by_gps: bool, channels: bool, mode: bool, fed: bool) -> dict[int, float]:
+    """Hz by message, beside gyro and attitude: of places, of the transmitter's channels, of the mode; fed: of what an
+    autopilot says beside that is fed our place."""
     rates = dict(GLOBAL_POSE if by_gps else LOCAL_POSE)
+    if fed:
+        rates = {GPS_RAW_INT: FED_FIX_HZ, LOCAL_POSITION_NED: LOCAL_ORIGIN_HZ} | rates
     if channels:
         rates[RC_CHANNELS] = PILOT_SWITCH_HZ
     if mode:
@@ -128,8 +141,8 @@ class MavlinkAutopilot:
     None for the only one on the link; component_id: ours (191 … 194 are onboard computers); signing_key: a file of mode
     0600, see signing.py; gps: makes positions of the team frame by GPS, None: they are of the autopilot's local frame;
     gyro_delay_s: how late its gyro is, None: as it says itself; switch: the pilot's that is watched; engagement:
-    is told of the flight mode; origin: of the team frame, by which Remote ID of others is read, None: it is not. Raises
-    `SourceError` for what can never work.
+    is told of the flight mode; origin: of the team frame, by which Remote ID of others is read, None: it is not; fed:
+    it is fed our place, and what it makes of that is none of its own. Raises `SourceError` for what can never work.
 
     Apart from `run`, its interface is `opened`, `received` and `tick`, which take the time and need no event loop.
     """
@@ -148,6 +161,7 @@ class MavlinkAutopilot:
         switch: PilotSwitch | None = None,
         engagement: PilotEngagement | None = None,
         origin: Geodetic | None = None,
+        fed: FedPosition | None = None,
     ) -> None:
         _check(imu_rate_hz, system_id)
         self._clock = clock
@@ -159,9 +173,14 @@ class MavlinkAutopilot:
         self._contact = Contact(system_id)
         self._news = RepeatLimiter(self._now)
         self._flight = FlightWatch()
-        self._switch, self._engagement = switch, engagement
+        self._switch, self._engagement, self._fed = switch, engagement, fed
         name, recording, line = str(self._link.address), self._link.recording, self._link.bytes_per_second
-        rates = _rates(by_gps=gps is not None, channels=self._reads_channels, mode=engagement is not None)
+        rates = _rates(
+            by_gps=gps is not None,
+            channels=self._reads_channels,
+            mode=engagement is not None,
+            fed=fed is not None,
+        )
         self._requests = StreamRequests(imu_rate_hz, rates, line=line, signed=key is not None)
         self._gyro_delays = GyroDelays(gyro_delay_s, asks=not recording, name=name)
         self._telemetry = Telemetry(
@@ -173,6 +192,7 @@ class MavlinkAutopilot:
             gps=gps,
             send=self._send,
             gyro_delays=self._gyro_delays,
+            fed=fed,
         )
         self._link_state = LinkState(
             link=self._link,
@@ -213,6 +233,7 @@ class MavlinkAutopilot:
             readers[RC_CHANNELS] = self._on_channels
         if self._engagement is not None:
             readers[CURRENT_MODE] = self._engagement.on_current_mode
+        if self._engagement is not None or self._fed is not None:
             readers[common.MAVLINK_MSG_ID_STATUSTEXT] = self._on_text
         return readers
 
@@ -230,11 +251,15 @@ class MavlinkAutopilot:
 
         self._readers[common.MAVLINK_MSG_ID_PARAM_VALUE] = on_value
 
+    def deliver_to(self, listener: AutopilotListener) -> None:
+        """Set the listener; `run` does it."""
+        self._telemetry.listener = listener
+
     # ── running ──────────────────────────────────────────────────────────────────────────────────────────────────
 
     async def run(self, listener: AutopilotListener) -> None:
         """Connect, reconnect and deliver until cancelled; returns only where a recording ends."""
-        self._telemetry.listener = listener
+        self.deliver_to(listener)
         if not FAST_CRC:
             log.warning("fastcrc is not installed: reading MAVLink costs three times the CPU time")
         if self._link.address.reachable_from_outside and not self._codec.has_key:
@@ -368,6 +393,16 @@ class MavlinkAutopilot:
     def place(self) -> tuple[float, tuple[float, float, float]] | None:
         """Arrival of its newest position, and the position itself: NED [m] in the axes of its local frame."""
         return self._telemetry.place
+
+    @property
+    def local_origin(self) -> Array | None:
+        """(3,) m: positions in its local frame less those that it is read by; None: not known."""
+        return self._telemetry.local_origin
+
+    @property
+    def kind(self) -> int | None:
+        """MAV_AUTOPILOT; None before its first heartbeat."""
+        return self._contact.kind
 
     @property
     def signing_key(self) -> bytes | None:
@@ -638,8 +673,10 @@ class MavlinkAutopilot:
             contact.shared_at = t
 
     def _on_text(self, t: float, m: Any) -> None:
-        assert self._engagement is not None
-        self._engagement.on_text(t, m.text)
+        if self._engagement is not None:
+            self._engagement.on_text(t, m.text)
+        if self._fed is not None:
+            self._fed.on_text(t, m)
 
     def _on_channels(self, t: float, m: Any) -> None:
         if self._engagement is not None:

@@ -12,6 +12,7 @@ from pymavlink.dialects.v20 import common
 from swarmtrack.autopilot.boot_clock import MICROSECONDS_WRAP_S, MILLISECONDS_WRAP_S, BootClock, StampStep
 from swarmtrack.autopilot.clock_map import ClockMap
 from swarmtrack.autopilot.contact import Contact, RepeatLimiter
+from swarmtrack.autopilot.fed_position import FedPosition
 from swarmtrack.autopilot.framer import Framer
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.gyro_delay import GyroDelay, GyroDelays
@@ -27,6 +28,7 @@ from swarmtrack.autopilot.limits import (
     IMU_FORGOTTEN_AFTER_S,
     IMU_RATE_WINDOW_S,
     IMU_STALE_AFTER_S,
+    LOCAL_ORIGIN_GAP_S,
     LOCAL_POSITION_AGE_S,
     LOCAL_POSITION_SIGMA_M,
     NUMBERED_GAP_S,
@@ -100,7 +102,7 @@ class Telemetry:
 
     link: nothing can be requested of a recording; framer: counts what is damaged; gps: computes positions in the team
     frame; None: they are the autopilot's local ones; send: sends a message to the autopilot; gyro_delays: delay of its
-    gyro.
+    gyro; fed: whether its position rests on ours, None: it is fed none.
     """
 
     def __init__(
@@ -114,11 +116,14 @@ class Telemetry:
         gps: GlobalPosition | None,
         send: Callable[[Any], None],
         gyro_delays: GyroDelays,
+        fed: FedPosition | None = None,
     ) -> None:
         self._requests = requests
         self._contact = contact
         self._news = news
-        self._gps = gps
+        self._gps, self._fed = gps, fed
+        self.local_origin: Array | None = np.zeros(3) if gps is None else None
+        """(3,) m: positions in the autopilot's local frame less those that it is read by; None: not known."""
         self._recorded = link.recording
         self._send = send
         self._gyro_delays = gyro_delays
@@ -145,7 +150,9 @@ class Telemetry:
         self.attitudes = Intake("attitudes")
         self.positions = Intake("positions")
         self._frame_loss = FrameLoss(framer, self.senders)
-        self._poses_without_position = self._reboots = self._replaced = self._breaks_before = 0
+        self._poses_without_position = self._poses_fed = self._reboots = self._replaced = (
+            self._breaks_before
+        ) = 0
 
         self.cadence = Cadence()
         self.imu_at = -math.inf  # when the last sample came
@@ -178,12 +185,15 @@ class Telemetry:
             DISTANCE_SENSOR: self._on_distance,
         }
         if self._gps is None:
-            return readers | {LOCAL_POSITION_NED: self._on_local_position}
-        return readers | {
-            GPS_RAW_INT: self._gps.on_fix,
-            GPS2_RAW: self._gps.on_second_fix,
-            GLOBAL_POSITION_INT: self._on_global_position,
-        }
+            readers[LOCAL_POSITION_NED] = self._on_local_position
+        else:
+            readers[GPS2_RAW] = self._gps.on_second_fix
+            readers[GLOBAL_POSITION_INT] = self._on_global_position
+            if self._fed is not None:
+                readers[LOCAL_POSITION_NED] = self._learn_local_origin
+        if self._gps is not None or self._fed is not None:
+            readers[GPS_RAW_INT] = self._on_fix
+        return readers
 
     @property
     def imu_source(self) -> ImuMessage:
@@ -242,6 +252,7 @@ class Telemetry:
             "after_resync": self.gyro.thrown[STEPPED_BACK],
             "poses": self.attitudes.used,
             "poses_without_position": self._poses_without_position,
+            **({} if self._fed is None else {"poses_fed": self._poses_fed}),
             "reboots": self._reboots,
             "clocks_replaced": self._replaced,
             "clock_offset_s": clock_map.offset if clock_map.offset is not None else math.nan,
@@ -370,6 +381,21 @@ class Telemetry:
         elif step in NEW_STAMPS:
             self.positions.pass_over(NO_FIX)
 
+    def _on_fix(self, t: float, m: Any) -> None:
+        for each in (self._gps, self._fed):
+            if each is not None:
+                each.on_fix(t, m)
+
+    def _learn_local_origin(self, t: float, m: Any) -> None:
+        """Of a drone whose positions are GPS's: where its autopilot's local frame begins in that."""
+        step, stamp = self.stamps.step(t, m, m.time_boot_ms * 1e-3, MILLISECONDS_WRAP_S)
+        gps, fed = self._position, self._fed
+        if step not in NEW_STAMPS or gps is None or fed is None or fed.rests(t):
+            return
+        local = np.array((m.x, m.y, m.z))
+        if abs(stamp - gps.stamp) <= LOCAL_ORIGIN_GAP_S and np.isfinite(local).all():
+            self.local_origin = local - gps.position - (stamp - gps.stamp) * gps.velocity
+
     def _on_local_position(self, t: float, m: Any) -> None:
         step, stamp = self._position_step(t, m)
         place = StampedPlace(stamp, np.array((m.x, m.y, m.z)), np.array((m.vx, m.vy, m.vz)))
@@ -476,7 +502,9 @@ class Telemetry:
             self.attitudes.throw(OTHER_CLOCK)
             return
         ours = clock_map.to_ours(stamp)
-        if self._position is None or abs(stamp - self._position.stamp) > LOCAL_POSITION_AGE_S:
+        rests = self._fed is not None and self._fed.rests(t)
+        self._poses_fed += rests
+        if rests or self._position is None or abs(stamp - self._position.stamp) > LOCAL_POSITION_AGE_S:
             self._poses_without_position += 1
             where = None
         else:
@@ -580,6 +608,10 @@ class Telemetry:
         self._other_stamps = 0
         self.cadence.reset()
         self._position = self._below = None
+        if self._fed is not None:
+            self._fed.restart()
+        if self._gps is not None:
+            self.local_origin = None
         self._asked_time.clear()
         self._exchanges = 0
         self._requests.reset()

@@ -200,8 +200,8 @@ class OwnPlace:
     def observe(
         self, look: TeamLook, camera: int, own: TeamPose, newest: float | None, team: TeamKnowledge
     ) -> None:
-        """A look of one camera. own: by the autopilot alone, with `newest` [s] the last time that it knew a position;
-        team: where teammates are, and whether all is as configured."""
+        """A look of one camera. own: by the autopilot alone, with `newest` [s] the last time that it knew a position,
+        None while it states that it knows none; team: where teammates are, and whether all is as configured."""
         t, before = look.t, self._compared.get(camera, -math.inf)
         is_placed = newest is not None and t - newest <= NO_POSITION_S
         # While it is only watched, less often is enough.
@@ -331,6 +331,7 @@ class OwnPlace:
             return None
         place, speed, turn = (found.moments(part) for part in (OWN_PLACE, OWN_SPEED, OWN_TURN))
         both = found.moments(slice(0, 6))
+        offset, offset_cov = self._offset(both)
         holding = [drone for drone, anchor in sorted(self._anchors.items()) if anchor.holds(found.t)]
         recent = [drone for drone, anchor in self._anchors.items() if found.t - anchor.last_t <= LEANS_S]
         leans = set(recent).union(*(self._anchors[drone].leans_on for drone in recent))
@@ -345,7 +346,25 @@ class OwnPlace:
             by=tuple(holding),
             leans_on=tuple(sorted(leans)),
             off_m=self._off_m if self._adrift else None,
+            held_t=max((anchor.last_t for anchor in self._anchors.values()), default=-math.inf),
+            offset=offset,
+            offset_cov=offset_cov,
+            is_lost=t - self._placed_t > NO_POSITION_S,
         )
+
+    def _offset(self, both: Moments) -> tuple[Array, Array]:
+        """See `CarriedPlace`. both: place and velocity."""
+        assert self._filter is not None
+        if self._is_suspect:
+            # The state follows the drift.
+            assert self._sound is not None
+            cov = both.cov.copy()
+            cov[:3, :3] += self._sound.cov
+            return self._sound.mean, cov
+        with_offset = self._filter.moments(slice(0, AUTOPILOT_OFFSET.stop))
+        T = np.eye(6, AUTOPILOT_OFFSET.stop)
+        T[:3, AUTOPILOT_OFFSET] = _EYE
+        return with_offset.mean[AUTOPILOT_OFFSET], T @ with_offset.cov @ T.T
 
     def news(self, t: float) -> CarriedNews | None:
         """Change of holders since the last news, at t."""

@@ -352,6 +352,21 @@ class AutopilotSection(Section):
         '"adsb": their positions on the map, but read docs/telling.md first; []: only a heartbeat',
     )
 
+    feed: Literal["none", "odometry"] = Field(
+        default="none",
+        description='"odometry": while the autopilot has no position and teammates hold the drone, its place by them '
+        "is sent to the autopilot as ODOMETRY; parameters decide whether it flies by that (docs/feeding.md)",
+    )
+    feed_hz: Annotated[Number, Field(ge=10.0, le=30.0)] = Field(
+        default=20.0, description="ODOMETRY per second, 250 bytes each"
+    )
+    feed_max_sigma_m: Annotated[Positive, Field(le=5.0)] = Field(
+        default=2.0, description="a place whose worst axis is vaguer is not sent, m"
+    )
+    feed_max_age_s: Annotated[Positive, Field(le=2.0)] = Field(
+        default=1.0, description="a place whose newest ray of a teammate, or to one, is older is not sent, s"
+    )
+
     @field_validator("tell", mode="before")
     @classmethod
     def _nobody_is_followed(cls, tell: object) -> object:
@@ -801,7 +816,8 @@ def config_of(layers: Layers) -> DroneConfig:
     """A drone's config from the layers of its files. Raises ConfigError with every problem that was found."""
     take_own_start(layers)
     problems = _tracker_problems(layers) + parameter_problems(layers, "identity", IdentityParameters)
-    problems += _start_problems(layers) + _telling_problems(layers) + roster_problems(layers)
+    problems += _start_problems(layers) + _telling_problems(layers) + _feeding_problems(layers)
+    problems += roster_problems(layers)
     problems += switch_problems(layers)
 
     def among(config: DroneConfig) -> Iterable[Problem]:
@@ -934,6 +950,18 @@ def _camera_problems(config: DroneConfig, layers: Layers) -> Iterator[Problem]:
                 f"{found(camera.source)}, expected no sim:// next to other cameras: it simulates one camera"
             )
             yield layers.problem(key, f"{key_text(key)}: {text}")
+
+
+def _feeding_problems(layers: Layers) -> list[Problem]:
+    """What a feed of the autopilot needs elsewhere in the config."""
+    autopilot = layers.table.get("autopilot")
+    said = autopilot if isinstance(autopilot, dict) else {}
+    link = said.get("link", "none")
+    if said.get("feed", "none") == "none" or (isinstance(link, str) and link not in ("none", "sim")):
+        return []
+    key = ("autopilot", "feed")
+    text = f'expected autopilot.link to lead to a MAVLink autopilot as well, found "{link}"'
+    return [layers.problem(key, f'autopilot.feed: "{said["feed"]}" without an autopilot, {text}')]
 
 
 def _telling_problems(layers: Layers) -> list[Problem]:

@@ -386,6 +386,32 @@ FAULTS: dict[str, Fault] = {
         "the autopilot does not report {names}",
         "look them up in your ground station: they set what the autopilot does when the agent that flies it fails",
     ),
+    # --- what the autopilot makes of our place, where it is fed
+    "feed.ignored": Fault(
+        W,
+        "{parameter} is {value}: the autopilot does not take the place that autopilot.feed sends",
+        "set {wanted} (docs/feeding.md), or remove autopilot.feed; swarmtrack writes no parameter",
+    ),
+    "feed.circle": Fault(
+        W,
+        "{parameter} is {value}: the autopilot takes its heading from autopilot.feed, which has it from the autopilot",
+        "set {wanted} (docs/feeding.md); swarmtrack writes no parameter",
+    ),
+    "feed.unusable": Fault(
+        W,
+        "{parameter} is {value}: the autopilot would use what autopilot.feed calls unusable",
+        "set {wanted} (docs/feeding.md); swarmtrack writes no parameter",
+    ),
+    "feed.covariance": Fault(
+        W,
+        "{parameter} is {value}: the autopilot ignores how vague the fed place is",
+        "set {wanted} (docs/feeding.md); swarmtrack writes no parameter",
+    ),
+    "feed.unknown": Fault(
+        W,
+        "the autopilot does not report {names}",
+        "look them up in your ground station: they decide whether it takes the place that autopilot.feed sends",
+    ),
     # --- calibration
     "calibration.unreadable": Fault(
         F, "{reason}", "make a new file with swarmtrack calibrate intrinsics, or write the numbers inline"

@@ -265,6 +265,8 @@ class Formation:
         self._followed_at = -math.inf
 
     def _watch_heights(self, own: OwnFlight, tracks: Sequence[IdentifiedTrack], t: float) -> None:
+        if own.is_carried:
+            return
         # What drifts contradicts the name's place, and costs it some of what made it sure.
         sure = {
             entry.identity
@@ -289,8 +291,12 @@ class Formation:
 
     def _watched(self, own: OwnFlight, why: Why | None, t: float) -> tuple[Why, str] | None:
         """What the last seconds tell against flying on, whatever holds the drone now. It costs nobody's name."""
-        self._divergence.add_sample(t, self._flown, own.velocity, usable=why not in MOVES_UNKNOWN)
-        watches = (Why.HEIGHT_DOUBT, self._heights.doubt), (Why.DIVERGES, self._divergence.doubt(t))
+        # A carried velocity is not known well enough to contradict a command.
+        usable = why not in MOVES_UNKNOWN and not own.is_carried
+        self._divergence.add_sample(t, self._flown, own.velocity, usable=usable)
+        # Nor is its height a barometer's, that could drift.
+        height = None if own.is_carried else self._heights.doubt
+        watches = (Why.HEIGHT_DOUBT, height), (Why.DIVERGES, self._divergence.doubt(t))
         return next(((doubt, text) for doubt, text in watches if text is not None), None)
 
     # ── the law ──────────────────────────────────────────────────────────────────────────────────────────────────────
@@ -484,7 +490,7 @@ class Formation:
             if entry.track.status is not TrackStatus.TENTATIVE and entry.track.id in states
         }
         everybody = self._out_of_sight.states(seen, own, t) | seen
-        return obstacles(everybody, own.velocity, self.parameters.clearance)
+        return obstacles(everybody, own, self.parameters.clearance)
 
     # ── the view ─────────────────────────────────────────────────────────────────────────────────────────────────────
 

@@ -87,6 +87,8 @@ LED_MOST_ASIDE_M, LED_BACK_WITHIN_S = 12.0, 10.0
 OBSTACLE_WATCHED_M = 6.0
 # Sigmas of ln(range) that somebody may be nearer than it seems; a range that is not known at all counts as 0.6.
 OBSTACLE_NEARER_SIGMAS, OBSTACLE_VAGUEST_LOG_RANGE = 2.0, 0.6
+# At most, to a drone that is carried: with the clearance this is less than slots are apart.
+OBSTACLE_CARRIED_NEARER_M = 1.0
 # One sigma: nobody's speed is taken to be known worse.
 OBSTACLE_VAGUEST_SPEED_M_S = 1.0
 

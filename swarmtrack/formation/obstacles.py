@@ -9,13 +9,14 @@ import numpy as np
 
 from swarmtrack.formation.barrier import HalfSpace, keep_clear, not_closing
 from swarmtrack.formation.margins import (
+    OBSTACLE_CARRIED_NEARER_M,
     OBSTACLE_NEARER_SIGMAS,
     OBSTACLE_VAGUEST_LOG_RANGE,
     OBSTACLE_VAGUEST_SPEED_M_S,
     OBSTACLE_WATCHED_M,
 )
 from swarmtrack.formation.parameters import FormationParameters
-from swarmtrack.formation.setpoint import Velocity
+from swarmtrack.formation.setpoint import OwnFlight, Velocity
 from swarmtrack.messages import RelativeState
 
 
@@ -43,14 +44,13 @@ class Obstacle(NamedTuple):
         return not_closing(self.track, self.direction, self.nearest, self.leaves, clearance=p.clearance)
 
 
-def obstacles(
-    states: Mapping[int, RelativeState], own_velocity: Velocity, clearance: float
-) -> list[Obstacle]:
-    """Obstacles that are near enough to count, by track."""
+def obstacles(states: Mapping[int, RelativeState], own: OwnFlight, clearance: float) -> list[Obstacle]:
+    """Obstacles that are near enough to count, by track. To a drone that is carried all are nearer by one sigma of its
+    place, and slower by one of its velocity."""
     if not states:
         return []
     r = np.array([state.position for state in states.values()])
-    v = np.array([state.velocity for state in states.values()]) + own_velocity
+    v = np.array([state.velocity for state in states.values()]) + own.velocity
     distance = np.sqrt((r * r).sum(axis=1))
     d = r / distance[:, None]
     cov = np.array([state.cov for state in states.values()])
@@ -61,8 +61,10 @@ def obstacles(
     nearest = distance * np.exp(
         -OBSTACLE_NEARER_SIGMAS * np.minimum(place / distance, OBSTACLE_VAGUEST_LOG_RANGE)
     )
+    if own.is_carried:
+        nearest = np.maximum(nearest - min(own.position_sigma, OBSTACLE_CARRIED_NEARER_M), 0.0)
     leaves = (d * v).sum(axis=1)
-    away = leaves - np.minimum(speed, OBSTACLE_VAGUEST_SPEED_M_S)
+    away = leaves - np.minimum(np.hypot(speed, own.velocity_sigma), OBSTACLE_VAGUEST_SPEED_M_S)
     columns = (r.tolist(), v.tolist(), d.tolist(), nearest.tolist(), away.tolist(), leaves.tolist())
     return [
         Obstacle(track, tuple(there), tuple(motion), tuple(ray), least, slow, expected)

@@ -60,9 +60,11 @@ class OwnFlightRecord:
     ) -> OwnFlight:
         """At the time of `pose`, which is as uncertain as the drone states it; the rest: see `OwnFlight`."""
         now = pose.t
-        path, velocity, _ = self._ego.flown_on(now)
+        path, velocity, velocity_cov = self._ego.flown_on(now)
         axis = pose.world_from_body @ self._body_from_camera[:, 2]
-        newest, gyro = self._ego.newest_t, self._gyro.newest
+        # A carried place is carried on with its velocity, and states how vague that makes it.
+        newest = self._ego.newest_pose_t if pose.is_carried else self._ego.newest_t
+        gyro = self._gyro.newest
         north, east, down = (pose.position + path).tolist()
         vn, ve, vd = velocity.tolist()
         return OwnFlight(
@@ -81,6 +83,8 @@ class OwnFlightRecord:
             sways=self._sway(now),
             ground=self._ground_below(now, pose.position[2] + path[2]),
             height_sights=height_sights,
+            is_carried=pose.is_carried,
+            velocity_sigma=math.sqrt(float(velocity_cov.diagonal().max())) if pose.is_carried else 0.0,
         )
 
     def _sway(self, now: float) -> OwnSway:

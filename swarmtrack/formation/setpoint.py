@@ -64,7 +64,8 @@ class OwnFlight:
     clash: another process uses this drone's ID; doubted: what it sees tells that its own start or heading is wrong;
     clock_known: the autopilot's clock is mapped. sways: as its code has it. ground [m]: what is below it, by the last
     measurement of its range finder; None where there is none, or none of the last second. height_sights: of the last
-    scan, by which the own height is tried.
+    scan, by which the own height is tried. is_carried: position and velocity are by teammates, and velocity_sigma [m/s]
+    is the velocity's worst axis; 0 by the autopilot.
     """
 
     position: Velocity
@@ -83,6 +84,8 @@ class OwnFlight:
     sways: OwnSway = NO_SWAY
     ground: float | None = None
     height_sights: tuple[HeightSight, ...] = ()
+    is_carried: bool = False
+    velocity_sigma: float = 0.0
 
     @property
     def is_possible(self) -> bool:

@@ -17,6 +17,7 @@ from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
 from swarmtrack.motion.leap import has_leapt
 from swarmtrack.motion.priors import (
     EGO_ACCELERATION_SIGMA_M_S2,
+    EGO_FLIES_ON_S,
     EGO_POSITION_JITTER_M,
     EGO_SPEED_SIGMA_M_S,
     EGO_TURN_RATE_SIGMA_RAD_S,
@@ -37,7 +38,8 @@ class TeamPose:
     """This drone in the team frame at t: position (3,) m, world_from_body (3, 3).
 
     position_cov (3, 3) m²; attitude_cov (3, 3) rad², of a small turn about the team's axes: the third is the heading's.
-    t_sigma [s]: standard deviation of when it was there. is_carried: the position is by its teammates.
+    t_sigma [s]: standard deviation of when it was there. is_carried: the position is by its teammates; is_stated: the
+    autopilot stated one.
     """
 
     t: float
@@ -47,6 +49,7 @@ class TeamPose:
     attitude_cov: Array
     t_sigma: float = 0.0
     is_carried: bool = False
+    is_stated: bool = True
 
     @property
     def pose(self) -> Pose:
@@ -75,6 +78,22 @@ class TeamPose:
     def moved(self, by: Array) -> TeamPose:
         """The same pose moved by (3,) m."""
         return replace(self, position=self.position + by)
+
+
+class AutopilotPlace(NamedTuple):
+    """A carried drone at t [s] in the frame of its autopilot's positions, NED: position (3,) m, velocity (3,) m/s, each
+    with its covariance (3, 3); world_from_body (3, 3), by the autopilot itself, and attitude_cov (3, 3) rad². held_t
+    [s]: the newest ray of a teammate or to one; by: the teammates that hold it."""
+
+    t: float
+    position: Array
+    position_cov: Array
+    velocity: Array
+    velocity_cov: Array
+    world_from_body: Array
+    attitude_cov: Array
+    held_t: float
+    by: tuple[int, ...]
 
 
 class _Line(NamedTuple):
@@ -149,6 +168,8 @@ class EgoHistory:
         self._yaw: tuple[float, float] | None = None
         self._first_place: Array | None = None
         self._placed: TeamPose | None = None  # the last whose position the autopilot knew
+        self._lost_velocity: Array | None = None
+        """(3,) m/s, when the autopilot stated its last place; None: it still does."""
         self._poses: list[TeamPose] = []
         self._newest_velocity: tuple[Array, Array] | None = None
         """At the newest pose; None: not asked for since that came."""
@@ -169,6 +190,16 @@ class EgoHistory:
     def newest_t(self) -> float | None:
         """When the newest pose held whose place the autopilot knew, s."""
         return None if self._placed is None else self._placed.t
+
+    @property
+    def stated_t(self) -> float | None:
+        """`newest_t`; None while the autopilot states that it knows no place."""
+        return self.newest_t if self._poses and self._poses[-1].is_stated else None
+
+    @property
+    def newest_pose_t(self) -> float | None:
+        """When the newest pose held, with or without a place, s."""
+        return self._poses[-1].t if self._poses else None
 
     @property
     def may_be_carried(self) -> bool:
@@ -194,14 +225,15 @@ class EgoHistory:
         position, cov = place
         tilt, heading = pose.attitude_sigma**2, self.heading.sigma(pose.t) ** 2
         turned = turn @ pose.world_from_body
-        placed = TeamPose(pose.t, position, turned, cov, _diagonal(tilt, tilt, heading), pose.t_sigma)
+        attitude_cov, is_stated = _diagonal(tilt, tilt, heading), pose.position is not None
+        placed = TeamPose(pose.t, position, turned, cov, attitude_cov, pose.t_sigma, is_stated=is_stated)
         if not self._poses or pose.t >= self._poses[-1].t:
             self._poses.append(placed)
         else:
             insort(self._poses, placed, key=lambda kept: kept.t)
         self._newest_velocity = None
         if pose.position is not None:
-            self._placed = placed
+            self._placed, self._lost_velocity = placed, None
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
             del self._poses[0]
 
@@ -279,6 +311,7 @@ class EgoHistory:
                 nearest.position_cov + (EGO_SPEED_SIGMA_M_S * age) ** 2 * _EYE,
                 nearest.attitude_cov + (EGO_TURN_RATE_SIGMA_RAD_S * age) ** 2 * _EYE,
                 nearest.t_sigma,
+                is_stated=nearest.is_stated,
             )
         before, after = self._poses[k - 1], self._poses[k]
         fraction = (t - before.t) / (after.t - before.t) if after.t > before.t else 1.0
@@ -290,6 +323,7 @@ class EgoHistory:
             max(before.position_cov, after.position_cov, key=np.trace),
             max(before.attitude_cov, after.attitude_cov, key=np.trace),
             max(before.t_sigma, after.t_sigma),
+            is_stated=before.is_stated and after.is_stated,
         )
 
     def steady(self, t: float) -> TeamPose | None:
@@ -310,6 +344,13 @@ class EgoHistory:
         if line.leverage(t) > 1.0:
             return pose
         return replace(pose, position=line.place + (t - line.middle) * line.velocity)
+
+    def from_start(self, pose: TeamPose) -> TeamPose:
+        """A pose of this drone as off as its start: where a sound autopilot would have it."""
+        if self.carried is None:
+            return pose
+        position, cov = self.carried.by_autopilot(pose.t)
+        return replace(pose, position=position, position_cov=cov)
 
     def moved(self, drone_id: int, boot: str, sequence: int) -> MotionReport | None:
         """Velocity and displacement of this drone since its first known position; None while unknown.
@@ -341,6 +382,26 @@ class EgoHistory:
             velocity_cov=line.velocity_cov,
         )
 
+    @property
+    def for_autopilot(self) -> AutopilotPlace | None:
+        """Place of a carried drone as its autopilot would state it; None where that frame is unknown, or not needed."""
+        carried = self.carried
+        if carried is None or not carried.is_lost or self._turn is None or self._shift is None:
+            return None
+        newest, back = self._poses[-1], self._turn.T
+        position, cov = carried.by_autopilot(newest.t)
+        return AutopilotPlace(
+            newest.t,
+            back @ (position - self._shift),
+            back @ cov @ back.T,
+            back @ carried.velocity,
+            back @ carried.cov[3:, 3:] @ back.T,
+            back @ newest.world_from_body,
+            newest.attitude_cov,
+            held_t=carried.held_t,
+            by=carried.by,
+        )
+
     def velocity(self, t: float) -> tuple[Array, Array]:
         """How this drone itself moves at t: (3,) m/s in the team frame, and its covariance (3, 3)."""
         if self.carried is not None:
@@ -367,17 +428,18 @@ class EgoHistory:
         """`_line` of the poses on both sides of t, or of those before it; None where no place was ever known."""
         if self._placed is None:
             return None
-        return self._line(t - 0.5 * EGO_VELOCITY_SPAN_S, t + 0.5 * EGO_VELOCITY_SPAN_S) or self._line(
-            t - EGO_VELOCITY_SPAN_S, t
-        )
+        span, last = EGO_VELOCITY_SPAN_S, self._placed.t
+        around = self._line(t - 0.5 * span, t + 0.5 * span) or self._line(t - span, t)
+        # Of one that has lost its place since, as it flew then.
+        return around or (self._line(last - span, last) if t > last else None)
 
     def _line(self, begin: float, end: float) -> _Line | None:
-        """A straight line through the poses of that time; None of fewer than two."""
+        """A straight line through the places of that time that the autopilot stated; None of fewer than two."""
         within = []
         for pose in reversed(self._poses):
             if pose.t < begin:
                 break
-            if pose.t <= end:
+            if pose.t <= end and pose.is_stated:
                 within.append(pose)
         if len(within) < 2:
             return None
@@ -398,9 +460,7 @@ class EgoHistory:
                 return None
             if self._placed is None:
                 return last, HOVER_POSITION_SIGMA_M**2 * np.eye(3)
-            # It was known and is no more: the drone may have moved on.
-            age = abs(pose.t - self._placed.t)
-            return last, self._placed.position_cov + (EGO_SPEED_SIGMA_M_S * age) ** 2 * np.eye(3)
+            return self._moved_on(self._placed, abs(pose.t - self._placed.t))
         assert self._turn is not None
         if self._shift is None:
             self._shift = self.origin if last is None else last - self._turn @ pose.position
@@ -419,6 +479,16 @@ class EgoHistory:
             across = np.array([-east, north, 0.0])
             cov += np.outer(across, across)
         return position, cov
+
+    def _moved_on(self, placed: TeamPose, age: float) -> tuple[Array, Array]:
+        """Place (3,) m and covariance (3, 3) of a drone whose autopilot stated its last place `age` [s] ago: it flies
+        on as it did, for a while, or wherever it likes."""
+        if self._lost_velocity is None:
+            line = self._line(placed.t - EGO_VELOCITY_SPAN_S, placed.t)
+            self._lost_velocity = np.zeros(3) if line is None else line.velocity
+        flown = -EGO_FLIES_ON_S * math.expm1(-age / EGO_FLIES_ON_S)
+        cov = placed.position_cov + (EGO_SPEED_SIGMA_M_S * age) ** 2 * _EYE
+        return placed.position + flown * self._lost_velocity, cov
 
     def _leap(self, t: float, position: Array) -> Array | None:
         """(3,) m: by how much a place in the team frame is elsewhere than the drone can have flown since the last that

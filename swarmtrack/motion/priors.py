@@ -16,6 +16,8 @@ EGO_VELOCITY_SPAN_S = 0.3
 EGO_POSITION_JITTER_M = 0.02
 # How fast a drone may be moving where no pose says so.
 EGO_SPEED_SIGMA_M_S = 1.0
+# Time constant with which one that has lost its place is expected to stop: then teammates hold it, or nobody knows.
+EGO_FLIES_ON_S = 1.0
 # Of a drone whose velocity, or attitude, was known a moment ago.
 EGO_ACCELERATION_SIGMA_M_S2 = 1.0
 EGO_TURN_RATE_SIGMA_RAD_S = 0.5

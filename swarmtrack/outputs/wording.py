@@ -99,6 +99,13 @@ def warning(event: object) -> str:
     return describe(event)
 
 
+def teammate_carried_in_words(drone_id: int, leans_on: Sequence[int]) -> str:
+    """`drone 1 has no position of its own: held by 2 and 3`, or that it has one again."""
+    if not leans_on:
+        return f"drone {drone_id} has a position of its own again"
+    return f"drone {drone_id} has no position of its own: held by {' and '.join(map(str, leans_on))}"
+
+
 def describe(news: News) -> str:
     match news:
         case HeadingNews():

@@ -48,6 +48,7 @@ from swarmtrack.runtime.guard_process import GuardProcess
 from swarmtrack.runtime.health import LAG_PERIOD, Connections, Expected, Health
 from swarmtrack.runtime.health_file import HealthFile, health_path
 from swarmtrack.runtime.perception import make_visual_gyro
+from swarmtrack.runtime.place_feed import FeedParameters, PlaceFeed
 from swarmtrack.runtime.publishers import HealthPublisher, TracksPublisher
 from swarmtrack.runtime.systemd import Notifier, Watchdog
 from swarmtrack.runtime.teamwork import Teamwork
@@ -86,7 +87,8 @@ class Agent:
         self._health_file = HealthFile(health_file) if health_file else None
         self._notices = make_notices(parts)
         self._formation = make_formation_pilot(parts, self._notices)
-        self.health = make_health(parts, self._formation)
+        self._place_feed = make_place_feed(parts, self._notices)
+        self.health = make_health(parts, self._formation, self._place_feed)
         self._team = make_teamwork(parts, self.health, self._notices, self.deliver)
         self._live = LiveVideo(
             parts.transport,
@@ -142,6 +144,7 @@ class Agent:
                     tasks.create_task(self._notices.run(), name="tell"),
                     tasks.create_task(self._renew_keys(), name="keys"),
                     tasks.create_task(self._show_to_ros2(), name="ROS 2"),
+                    tasks.create_task(self._feed_place(), name="feed"),
                 ]
                 formation = tasks.create_task(self._fly_in_formation(), name="formation")
                 stop = tasks.create_task(self._stop.wait(), name="stop")
@@ -171,6 +174,10 @@ class Agent:
     async def _fly_in_formation(self) -> None:
         if self._formation is not None:
             await self._formation.run()
+
+    async def _feed_place(self) -> None:
+        if self._place_feed is not None:
+            await self._place_feed.run()
 
     def _begin_recording(self) -> None:
         if self._recorder is not None:
@@ -447,13 +454,17 @@ class Agent:
             self._health_file.close()
 
 
-def make_health(parts: Parts, formation: FormationPilot | None = None) -> Health:
+def make_health(
+    parts: Parts, formation: FormationPilot | None = None, feed: PlaceFeed | None = None
+) -> Health:
     """The meters of an agent of these parts."""
     config, autopilot = parts.config, parts.autopilot
     return Health(
         config.drone.id,
         parts.boot,
-        Connections(parts.cameras, parts.transport, autopilot, parts.detector, parts.recorder, formation),
+        Connections(
+            parts.cameras, parts.transport, autopilot, parts.detector, parts.recorder, formation, feed
+        ),
         parts.door.perceived,
         Expected(
             config.autopilot.imu_rate_hz if autopilot else None,
@@ -476,6 +487,16 @@ def make_formation_pilot(parts: Parts, notices: PilotNotices) -> FormationPilot 
     return FormationPilot(
         parts.door, parts.autopilot, parts.engagement, guard, notices, clock=parts.clock, parameters=place
     )
+
+
+def make_place_feed(parts: Parts, notices: PilotNotices) -> PlaceFeed | None:
+    """What feeds the autopilot of these parts; None where it is fed nothing."""
+    if parts.fed is None or not isinstance(parts.autopilot, MavlinkAutopilot):
+        return None
+    said = parts.config.autopilot
+    parameters = FeedParameters(said.feed_hz, said.feed_max_sigma_m, said.feed_max_age_s)
+    perceived = parts.door.perceived
+    return PlaceFeed(perceived, parts.autopilot, parts.fed, notices, clock=parts.clock, parameters=parameters)
 
 
 def make_notices(parts: Parts) -> PilotNotices:

@@ -12,6 +12,7 @@ import numpy as np
 from swarmtrack.autopilot.address import is_recording
 from swarmtrack.autopilot.address import parse_address as parse_link
 from swarmtrack.autopilot.engagement import PilotEngagement
+from swarmtrack.autopilot.fed_position import FedPosition
 from swarmtrack.autopilot.global_position import GlobalPosition
 from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.pilot_switch import PilotSwitch
@@ -79,6 +80,8 @@ class Parts:
     """The way into its Onboard, and what may be read of it."""
     engagement: PilotEngagement | None
     """Whether the pilot wants to be flown; None: nobody may fly it."""
+    fed: FedPosition | None
+    """Whether the autopilot's position rests on ours; None: it is fed none."""
     recorder: FlightRecorder | None
     ros2: Ros2Output | None
     transport: Transport
@@ -135,7 +138,8 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         in_step = imported is None and paced is not None
         consents = _pilot_switch(config.formation.switch)
         engagement = PilotEngagement(consents) if config.flies_in_formation else None
-        autopilot = make_autopilot(config, clock, simulation, in_step=in_step, engagement=engagement)
+        fed = FedPosition() if config.autopilot.feed == "odometry" else None
+        autopilot = make_autopilot(config, clock, simulation, in_step=in_step, engagement=engagement, fed=fed)
     with config.blamed("detector", "model"):
         detector = make_detector(config, wall)
     hub = MemoryHub()
@@ -160,6 +164,7 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         detector=detector,
         door=door,
         engagement=engagement,
+        fed=fed,
         recorder=recorder,
         ros2=_ros2_output(config, door, boot, clock),
         transport=transport,
@@ -259,9 +264,10 @@ def make_autopilot(
     *,
     in_step: bool = False,
     engagement: PilotEngagement | None = None,
+    fed: FedPosition | None = None,
 ) -> Autopilot | None:
     """None where the config names no link. in_step: a log is played in step with the frames. engagement: is told of the
-    flight mode."""
+    flight mode; fed: whether its position rests on ours, where it is fed."""
     section = config.autopilot
     if section.link == "none":
         return None
@@ -281,6 +287,7 @@ def make_autopilot(
         switch=_pilot_switch(config.team.code.switch if config.team.code else None),
         engagement=engagement,
         origin=None if config.team.origin is None else config.team.origin.place(),
+        fed=fed,
     )
 
 

@@ -55,10 +55,11 @@ class Connections:
     detector: HasStatus | None = None
     recorder: HasStatus | None = None
     formation: HasStatus | None = None
+    feed: HasStatus | None = None
 
     def statuses(self) -> list[LinkStatus]:
         before = [] if self.autopilot is None else [self.autopilot.status()]
-        sources = (self.detector, self.network, self.recorder, self.formation)
+        sources = (self.detector, self.network, self.recorder, self.formation, self.feed)
         after = [source.status() for source in sources if source is not None]
         return [*before, *self.camera_statuses(), *after]
 

@@ -39,7 +39,7 @@ from swarmtrack.motion.ground_heights import GroundHeightNews
 from swarmtrack.motion.sway import next_begin, possible_begins
 from swarmtrack.outputs import periods
 from swarmtrack.outputs.pilot_notices import PilotNotices
-from swarmtrack.outputs.wording import describe, describe_filed
+from swarmtrack.outputs.wording import describe, describe_filed, teammate_carried_in_words
 from swarmtrack.perceived import TeamView
 from swarmtrack.relative.frames import FrameNews
 from swarmtrack.relative.range_watch import RangeNews
@@ -115,6 +115,8 @@ class Teamwork:
         self._reported: tuple[object, ...] = ()
         self._reported_at = -math.inf
         self._disputed: set[tuple[int, int]] = set()
+        self._carried: set[int] = set()
+        """Teammates whose position rests on others'."""
         self._lines: Counter[int] = Counter()  # by the teammate they are about
         self._lines_since = -math.inf
 
@@ -164,6 +166,7 @@ class Teamwork:
                 case SightingReport():
                     self._tell(event)
                     self._notices.on_peer(event)
+                    self._look_for_carried(event)
                     continue  # one a second from everybody: no news
                 case MotionReport() | RangeReport() | StrangerReport():
                     self._tell(event)
@@ -174,6 +177,16 @@ class Teamwork:
             level = logging.WARNING if isinstance(event, IdClash | PeerExpelled) else logging.INFO
             self._note(about, describe(event), level)
             self._notices.on_peer(event)
+
+    def _look_for_carried(self, report: SightingReport) -> None:
+        """Has a teammate lost its position, or found it again? Those that follow it should know."""
+        drone, is_carried = report.observer, bool(report.leans_on)
+        if is_carried == (drone in self._carried):
+            return
+        self._carried ^= {drone}
+        line = teammate_carried_in_words(drone, report.leans_on)
+        self._note(drone, line, logging.WARNING)
+        self._notices.add(Severity.WARNING, line)
 
     async def announce(self) -> None:
         """The one broadcast, as soon as this drone knows where it is, and those of simulated teammates; then again
@@ -254,7 +267,7 @@ class Teamwork:
     async def _announce(self, *, first: bool) -> None:
         """first: from where the config says that it starts; else from where the autopilot says it is."""
         now = self._clock.now()
-        pose = self._perceived.ego_pose(now)
+        pose = self._perceived.announced_pose(now)
         assert pose is not None
         start, sigma = self._start if first else None, self._start_sigma_m
         self._announced += 1

@@ -357,7 +357,8 @@ class Identities:
 def _bearings(shown: Sequence[Track], view: ObserverCamera) -> BearingScan:
     """The tracks that were detected, as bearings."""
     t = view.observer.t
-    origin_sigma = view.observer.position_sigma if view.observer.is_carried else 0.0
+    is_vague = view.observer.is_carried or not view.observer.is_stated
+    origin_sigma = view.observer.position_sigma if is_vague else 0.0
     detected = [
         track for track in shown if track.coasting_since is None and track.status is not TrackStatus.LOST
     ]

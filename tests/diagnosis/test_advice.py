@@ -86,6 +86,11 @@ BEYOND = {
         ),
         CALIBRATION,
     ),
+    **dict.fromkeys(
+        ("feed.ignored", "feed.circle", "feed.unusable", "feed.covariance", "feed.unknown"),
+        "each value to set is tried in test_autopilot_feed.py, and what it does in "
+        "tests/lab/autopilots/test_external_position.py",
+    ),
     **dict.fromkeys(("detector.slow", "tracking.noisy", "tracking.sure", "tracking.careful"), TUNING),
     "camera.login": "a login that is given or wrong is followed in tests/camera_sources/test_http_login.py",
     "camera.busy": "a program that ends is followed, as all that a V4L2 camera names, in "

@@ -11,6 +11,7 @@ import pytest
 from support.places import ROOT
 from swarmtrack.clock import SystemClock
 from swarmtrack.config.drone import MountedCamera, load_config
+from swarmtrack.diagnosis.autopilot_feed import check_feed
 from swarmtrack.diagnosis.autopilot_limits import Asked, check_limits, unheard
 from swarmtrack.diagnosis.findings import FAULTS, Finding, Level, markdown_table, worst
 from swarmtrack.diagnosis.mounting import (
@@ -124,6 +125,11 @@ def late(age_ms):
 
 
 RIGHT = Consistency(2.0, 1.5, 2.5)
+# Of an ArduCopter that is fed.
+FED_WELL = {
+    "VISO_TYPE": 1, "VISO_QUAL_MIN": 0, "EK3_SRC1_POSXY": 3, "EK3_SRC1_YAW": 1, "EK3_SRC2_POSXY": 6,
+    "EK3_SRC2_YAW": 1, "EK3_SRC3_POSXY": 0, "EK3_SRC3_YAW": 0,
+}  # fmt: skip
 # All but GUID_TIMEOUT, of an ArduCopter.
 WELL_SET = {
     "FENCE_ENABLE": 1,
@@ -136,6 +142,11 @@ WELL_SET = {
 PRODUCED = {
     "limits.unsafe": lambda: check_limits(3, {**WELL_SET, "GUID_TIMEOUT": 3.0}, Asked(FlightLimits(), 6.0)),
     "limits.silent": lambda: unheard("searching: port open, 0 bytes"),
+    "feed.ignored": lambda: check_feed(3, FED_WELL | {"VISO_TYPE": 0}),
+    "feed.circle": lambda: check_feed(3, FED_WELL | {"EK3_SRC2_YAW": 6}),
+    "feed.unusable": lambda: check_feed(3, FED_WELL | {"VISO_QUAL_MIN": -1}),
+    "feed.covariance": lambda: check_feed(12, {"EKF2_EV_CTRL": 1, "EKF2_EV_NOISE_MD": 1}),
+    "feed.unknown": lambda: check_feed(12, {"EKF2_EV_CTRL": 1}),
     "limits.unknown": lambda: check_limits(3, WELL_SET, Asked(FlightLimits(), 6.0)),
     "camera.address": lambda: check_camera(CameraFacts(8.0, 0.5, refused="camera source x: unknown scheme")),
     "camera.missing": lambda: camera("/dev/video7 is not there, and no other /dev/video*", ok=False, frames=0),

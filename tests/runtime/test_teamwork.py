@@ -25,6 +25,7 @@ from swarmtrack.messages import (
     PeerDeparted,
     PeerExpelled,
     RangeReport,
+    SightingReport,
 )
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
@@ -72,6 +73,24 @@ def listen(parts, events):
 
 def announced(drone_id, sequence):
     return Announcement(drone_id, "0000000a", sequence, 0.0, 0.0, np.zeros(3), np.eye(3), np.eye(3))
+
+
+def test_a_teammate_that_others_carry_is_said_once_and_so_is_its_return(parts):
+    def report(leans_on):
+        return SightingReport(2, "0000000a", 1, 0.0, 0.01, np.zeros(3), 0.2, (), (), leans_on)
+
+    events = [
+        PeerArrived(2, "0000000a"),
+        announced(2, 1),
+        report(()),
+        report((3, 4)),
+        report((3,)),
+        report(()),
+    ]
+    assert [line for line in listen(parts, events).events if "position" in line] == [
+        "drone 2 has no position of its own: held by 3 and 4",
+        "drone 2 has a position of its own again",
+    ]
 
 
 def test_each_event_is_a_line_for_people(parts):

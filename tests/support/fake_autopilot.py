@@ -30,6 +30,7 @@ class FakeVehicle(SimulatedVehicle):
     rest: as any simulated autopilot."""
 
     position_lost = False
+    goes_by_receiver = True
 
     def __init__(
         self,
@@ -60,6 +61,9 @@ class FakeVehicle(SimulatedVehicle):
 
     def rebooted(self, t: float) -> None:
         """What it senses is told by the test."""
+
+    def take_position(self, t: float, position: Any, var: Any, *, is_reset: bool) -> None:
+        """Where it is, is told by the test."""
 
     def at(self, t: float) -> SensedState:
         return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps, self.ground)

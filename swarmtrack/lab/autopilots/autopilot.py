@@ -19,9 +19,11 @@ import math
 from collections.abc import Iterator
 from typing import Any, Protocol
 
+import numpy as np
 from pymavlink.dialects.v20 import common
 
 from swarmtrack.lab.autopilots.channel import Channel, MavlinkAddress, SteadyReports, datagrams, target_of
+from swarmtrack.lab.autopilots.external_position import RECEIVER_SOURCE, ardupilot_takes
 from swarmtrack.lab.autopilots.firmware import ARDUCOPTER, Firmware, ModeNumbers
 from swarmtrack.lab.autopilots.pilot import OnItsPath, Pilot
 from swarmtrack.lab.autopilots.reports import INERTIAL, SENSED, TRUE
@@ -103,6 +105,7 @@ class SimulatedVehicle:
         self._truth = truth
         self._sensed: tuple[int, SensedState] | None = None
         self._state_said: tuple[ModeNumbers, bool, ModeNumbers] | None = None
+        self._odometry_late, self._odometry_resets = math.inf, 0
 
     def stamp(self, t: float) -> float:
         """Seconds since boot on its own clock."""
@@ -174,11 +177,28 @@ class SimulatedVehicle:
                     channel.send(ack)
             case kind if kind in SET_POINTS:
                 self.pilot.steer(message, now)
+            case "ODOMETRY" if self.takes_odometry(message):
+                self._take_odometry(message, now)
             case kind if kind.startswith("PARAM_"):
                 for answer in self.parameters.answers(message):
                     channel.send(answer)
             case "TIMESYNC" if message.tc1 == 0:
                 channel.send(common.MAVLink_timesync_message(int(self.stamp(now) * 1e9), message.ts1))
+
+    def takes_odometry(self, message: Any) -> bool:
+        """Whether its parameters let it go by that."""
+        raise NotImplementedError
+
+    def _take_odometry(self, message: Any, now: float) -> None:
+        """Its stamp is of a clock that nobody told: what came quickest was there at once."""
+        sent = 1e-6 * message.time_usec
+        self._odometry_late = min(self._odometry_late, now - sent)
+        cov = np.array(message.pose_covariance)
+        var = np.where(np.isfinite(cov), cov, 0.0)[[0, 6, 11]]
+        is_reset = message.reset_counter != self._odometry_resets
+        self._odometry_resets = message.reset_counter
+        position = np.array((message.x, message.y, message.z))
+        self.senses.take_position(sent + self._odometry_late, position, var, is_reset=is_reset)
 
     def _command(self, command: Any, now: float, channel: Channel) -> int:
         """Do it, or not: the MAV_RESULT."""
@@ -331,6 +351,27 @@ class SimulatedArduPilot(SimulatedVehicle):
         common.MAVLINK_MSG_ID_RC_CHANNELS,
         common.MAVLINK_MSG_ID_SIM_STATE,
     )
+
+    source_set = 1
+    """Whose sources its estimator goes by."""
+
+    def select_source_set(self, number: int) -> None:
+        """By the pilot's switch."""
+        self._go_by(number)
+        text = f"Using EKF Source Set {number}".encode()
+        for channel in self.channels:
+            channel.send(common.MAVLink_statustext_message(common.MAV_SEVERITY_INFO, text))
+
+    def _go_by(self, number: int) -> None:
+        self.source_set = number
+        self.senses.goes_by_receiver = self.parameters.values.get(f"EK3_SRC{number}_POSXY") == RECEIVER_SOURCE
+
+    def takes_odometry(self, message: Any) -> bool:
+        return ardupilot_takes(message, self.parameters.values, self.source_set)
+
+    def reboot(self, now: float) -> None:
+        super().reboot(now)
+        self._go_by(1)
 
     def understand(self, message: Any, now: float, channel: Channel) -> None:
         """Ground stations still ask for groups of messages, by REQUEST_DATA_STREAM."""

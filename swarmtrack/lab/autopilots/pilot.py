@@ -187,9 +187,9 @@ class GuidedPilot:
     held where it is.
 
     epoch: world time 0 on the caller's clock; origin: of the world on the Earth; located: whether the autopilot knows
-    where it is at a time of the caller's clock, without which it is not guided, and lands; ready: whether it arms;
-    errors: by how much it is off. Its velocity is GPS's, so that an error of the heading turns its nose, and not its
-    way.
+    where it is at a time of the caller's clock, without which it is not guided, and lands after blind_s; ready: whether
+    it arms; errors: by how much it is off. Its velocity is GPS's, so that an error of the heading turns its nose, and
+    not its way.
     """
 
     def __init__(
@@ -202,6 +202,7 @@ class GuidedPilot:
         located: Callable[[float], bool],
         errors: LastingErrors,
         ready: Callable[[float], bool] = lambda t: True,
+        blind_s: float = BLIND_S,
     ) -> None:
         self.phase = Phase.FLYING if drone.airborne else Phase.ON_GROUND
         self._drone = drone
@@ -211,7 +212,7 @@ class GuidedPilot:
         self._epoch = epoch
         self._origin = origin
         self._located = located
-        self._ready = ready
+        self._ready, self._blind_s = ready, blind_s
         self._mode = self._intended = FlightMode.HOLD if drone.airborne else FlightMode.BY_HAND
         self._streams_since = math.inf  # world time
         self._texts: list[tuple[int, str]] = []
@@ -276,7 +277,7 @@ class GuidedPilot:
         if self._mode is FlightMode.GUIDED and t - self._last_set_point > self._firmware.stream_s:
             self._say(common.MAV_SEVERITY_WARNING, "Failsafe activated: no set points")
             self._brake(FlightMode.POSITION, t)
-        if now - self._located_at > BLIND_S and self._mode not in (FlightMode.LAND, FlightMode.BY_HAND):
+        if now - self._located_at > self._blind_s and self._mode not in (FlightMode.LAND, FlightMode.BY_HAND):
             self._descend(t, "EKF failsafe: no position")
         if self._mode is FlightMode.RETURN and self.phase in (Phase.CLIMBING, Phase.FLYING):
             self._go_home(t)

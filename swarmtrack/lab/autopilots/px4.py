@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import common
 
 from swarmtrack.lab.autopilots.autopilot import SimulatedVehicle
 from swarmtrack.lab.autopilots.channel import Channel
+from swarmtrack.lab.autopilots.external_position import px4_takes
 from swarmtrack.lab.autopilots.firmware import PX4_FIRMWARE
 from swarmtrack.lab.autopilots.reports import SENSED
 from swarmtrack.mavlink_dialect import CURRENT_MODE
@@ -122,6 +123,9 @@ class SimulatedPx4(SimulatedVehicle):
     def reboot(self, now: float) -> None:
         super().reboot(now)
         self._begin(0.0)
+
+    def takes_odometry(self, message: Any) -> bool:
+        return px4_takes(message, self.parameters.values)
 
     def _begin(self, stamp: float) -> None:
         for channel, defaults in zip(self.channels, DEFAULTS, strict=False):

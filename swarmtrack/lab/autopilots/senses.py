@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from swarmtrack.geometry.geodesy import Geodetic, from_ned
+from swarmtrack.lab.autopilots.external_position import ExternalPosition
 from swarmtrack.lab.world.response import Triple
 from swarmtrack.lab.world.sensors import Ego, Imu, ImuParameters
 from swarmtrack.lab.world.world import World
@@ -66,9 +67,11 @@ NO_ERRORS = LastingErrors(lambda t: 0.0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 
 
 class Senses(Protocol):
-    """What an autopilot measures and estimates at any time. position_lost: its receiver finds nothing now."""
+    """What an autopilot measures and estimates at any time. position_lost: its receiver finds nothing now;
+    goes_by_receiver: whether its estimator would use what that finds."""
 
     position_lost: bool
+    goes_by_receiver: bool
 
     def at(self, t: float) -> SensedState: ...
 
@@ -78,6 +81,10 @@ class Senses(Protocol):
 
     def rebooted(self, t: float) -> None:
         """The autopilot that uses them starts again at t."""
+        ...
+
+    def take_position(self, t: float, position: Array, var: Array, *, is_reset: bool) -> None:
+        """An external position (3,) m in the local frame at t, with variances (3,) m²."""
         ...
 
 
@@ -123,6 +130,8 @@ class DroneSenses:
         self._range_finder_m = range_finder_m
         self.position_lost = False
         """Whether its receiver finds nothing now. May be changed while it runs."""
+        self.goes_by_receiver = True
+        self._external = ExternalPosition()
         self._position_from = -math.inf
         if self._drone.takes_off_s > -math.inf:
             # On the ground it has to find itself; who flies has done so.
@@ -139,7 +148,21 @@ class DroneSenses:
 
     def is_located(self, t: float) -> bool:
         """Whether the autopilot knows where it is."""
+        return self._is_own(t) or self._external.off(t) is not None
+
+    def _has_fix(self, t: float) -> bool:
         return t >= self._position_from and not self.position_lost
+
+    def _is_own(self, t: float) -> bool:
+        return self._has_fix(t) and self.goes_by_receiver
+
+    def take_position(self, t: float, position: Array, var: Array, *, is_reset: bool) -> None:
+        """While it goes by its receiver it needs none."""
+        if self._is_own(t):
+            return
+        world_t = t - self._epoch
+        own, _ = self._ego.estimate(self._drone.motion(world_t), world_t, np.zeros((2, 3)))
+        self._external.take(t, position - own, var, is_reset=is_reset)
 
     def is_ready(self, t: float) -> bool:
         """Whether it knows itself well enough to arm."""
@@ -151,15 +174,15 @@ class DroneSenses:
         white = self._white(round(world_t * 1e3))
         gyro, accel = self._imu.measure(world_t, white[:2])
         position, attitude = self._ego.estimate(motion, world_t, white[2:])
-        located = self.is_located(t)
+        off = np.zeros(3) if self._is_own(t) else self._external.off(t)
         walk, walking = self._ego.walk(world_t)
         return SensedState(
             gyro=gyro,
             accel=accel,
             q=np.array(_quaternion(attitude)),
-            position=position if located else None,
+            position=None if off is None else position + off,
             velocity=motion.velocity + walking,
-            gps=self._fix(motion.position + walk) if located else None,
+            gps=self._fix(motion.position + walk) if self._has_fix(t) else None,
             ground=self._below(-float(motion.position[2]), float(motion.attitude[2, 2])),
         )
 

@@ -15,6 +15,12 @@ ParameterValue = int | float
 
 # Values as a fresh ArduCopter 4.7 and a fresh PX4 1.15 have them; IMU_INTEG_RATE as its simulators do.
 ARDUPILOT_PARAMETERS: Mapping[str, ParameterValue] = {
+    "EK3_SRC1_POSXY": 3,
+    "EK3_SRC1_YAW": 1,
+    "EK3_SRC2_POSXY": 0,
+    "EK3_SRC2_YAW": 0,
+    "EK3_SRC3_POSXY": 0,
+    "EK3_SRC3_YAW": 0,
     "FENCE_ACTION": 1,
     "FENCE_ALT_MAX": 100.0,
     "FENCE_ENABLE": 0,
@@ -24,6 +30,8 @@ ARDUPILOT_PARAMETERS: Mapping[str, ParameterValue] = {
     "GUID_TIMEOUT": 3.0,
     "INS_GYRO_FILTER": 20,
     "SCHED_LOOP_RATE": 400,
+    "VISO_QUAL_MIN": 0,
+    "VISO_TYPE": 0,
     "WP_SPD": 10.0,
     "WP_YAW_BEHAVIOR": 2,
 }
@@ -31,6 +39,8 @@ PX4_PARAMETERS: Mapping[str, ParameterValue] = {
     "COM_OBL_RC_ACT": 0,
     "COM_OF_LOSS_T": 1.0,
     "COM_RC_OVERRIDE": 1,
+    "EKF2_EV_CTRL": 15,
+    "EKF2_EV_NOISE_MD": 0,
     "GF_ACTION": 2,
     "GF_MAX_HOR_DIST": 0.0,
     "GF_MAX_VER_DIST": 0.0,
