@@ -238,6 +238,7 @@ def test_a_track_that_ends_leaves_its_cluster_in_one_piece():
     cluster = tracker.filter.clusters[0]
     table = tracker.filter.table
     table.last_seen[table.id == ids[1]] = -0.2  # as if the others had been seen later
+    table.existence[table.id == ids[1]] = 0.05
     before = dict.fromkeys(map(tuple, cluster.leaf[:, [0, 2]].tolist()), 0.0)
     for leaves, weight in zip(cluster.leaf[:, [0, 2]].tolist(), cluster.weight.tolist(), strict=True):
         before[tuple(leaves)] += weight
