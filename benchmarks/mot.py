@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmtrack.benchmarks import report
+from swarmtrack.benchmarks import mot_page, report
 from swarmtrack.benchmarks.harness import Benchmark, amount, path
 from swarmtrack.benchmarks.mot_sequences import (
     DetectedFrame,
@@ -51,7 +51,6 @@ BY_OVERLAP = {
 LEAST_RADIUS_PX = 6.0
 FOCAL_PX = 430.0  # of the camera that the default parameters are for
 USUAL_WIDTH_PX = 640
-METRICS = ("HOTA", "AssA", "IDF1", "MOTA", "switches")
 
 
 class Followed(NamedTuple):
@@ -258,38 +257,18 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
         }
         for source, sequences in sources
     }
+    mot_page.draw(args.out / f"{NAME}.png", tables)
     return {"seed": SEED, "about": about, "tables": tables}
-
-
-def _page(result: dict[str, Any]) -> str:
-    parts = [
-        "# Trackers of others, the same detections",
-        "A tenth of the boxes missed, σ of the centre 1 px and 5 % of the side, of the size 5 %, 0.3 false boxes per "
-        "frame, scores from beta distributions (8, 2) and (3, 4).",
-    ]
-    columns = (
-        ("", "{name}"),
-        *((name, f"{{{name}:.3f}}") for name in METRICS[:-1]),
-        ("switches", "{switches:.0f}"),
-        ("ms per frame", "{ms:.2f}"),
-    )
-    for source, rows in result["tables"].items():
-        about = result["about"][source]
-        parts.append(
-            f"## {source}: {about['sequences']} sequences, {about['frames']} frames, {about['boxes']} boxes"
-        )
-        for rate, row in rows.items():
-            parts += [f"{rate}:", report.table_by_name(columns, row)]
-    return report.page(*parts)
 
 
 BENCH = Benchmark(
     NAME,
     _measured,
-    _page,
+    mot_page.page,
     options=(
         path("--clips", "a folder with pairs of NAME.mp4 and NAME_gt.csv", "DATA"),
         path("--annotations", "a folder with Video_*_gt.txt"),
         amount("--every", 5, 25, "of the annotated videos, every Nth"),
     ),
+    draws=True,
 )

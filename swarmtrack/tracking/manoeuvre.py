@@ -46,10 +46,17 @@ NODES, WEIGHTS = (0.5 * np.array(np.polynomial.legendre.leggauss(5)) + [[0.5], [
 
 class AgileLevel(NamedTuple):
     """How hard targets manoeuvre, as far as a camera sees: near ones more than far ones. scale: factor on the density
-    of their acceleration and the variance of their speed; share: of all manoeuvres."""
+    of their acceleration and the variance of their speed; share: of all manoeuvres; lasts: factor on the time that an
+    acceleration lasts. The same density in a shorter time is a stronger acceleration."""
 
     scale: float
     share: float
+    lasts: float = 1.0
+
+    @property
+    def variance(self) -> float:
+        """Factor on the variance of the acceleration."""
+        return self.scale / self.lasts
 
 
 AS_TOLD = (AgileLevel(1.0, 1.0),)
@@ -85,7 +92,13 @@ class Manoeuvres:
     @property
     def variances(self) -> Array:
         """(M,) px²/s⁴, of the acceleration in each mode; in the calm one that of the gentlest manoeuvre."""
-        return self.acceleration_variance * self.scales[[0, *range(len(self.levels))]]
+        factors = [level.variance for level in self.levels]
+        return self.acceleration_variance * np.array([factors[0], *factors])
+
+    @property
+    def rates(self) -> list[float]:
+        """1/s, at which accelerations fade at each level."""
+        return [1.0 / (self.lasting_s * level.lasts) for level in self.levels]
 
     @property
     def gained(self) -> Array:
@@ -120,8 +133,8 @@ def _usual(levels: tuple[AgileLevel, ...], calm_s: float, agile_s: float) -> Arr
 
 @cache
 def _gained(levels: tuple[AgileLevel, ...]) -> Array:
-    scale = np.array([levels[0].scale, *(level.scale for level in levels)])
-    gained: Array = np.maximum(scale[:, None] - scale, 0.0)
+    variance = np.array([levels[0].variance, *(level.variance for level in levels)])
+    gained: Array = np.maximum(variance[:, None] - variance, 0.0)
     gained.setflags(write=False)
     return gained
 
@@ -203,8 +216,9 @@ def _one_gaussian(mode: Array, mean: Array, cov: Array) -> tuple[Array, Array]:
 
 
 def mean_acceleration(mixture: ModeMixture) -> Array:
-    """Mean acceleration (n, 2) px/s²: zero in the calm mode."""
-    return (mixture.mode[:, None, AGILE:] @ mixture.mean[:, AGILE:, ACCELERATION_OF_AGILE])[:, 0]
+    """Mean acceleration (M - 1, n, 2) px/s², as far as each agile mode accounts for it: zero in the calm mode."""
+    weighed: Array = mixture.mode[:, AGILE:, None] * mixture.mean[:, AGILE:, ACCELERATION_OF_AGILE]
+    return weighed.swapaxes(0, 1)
 
 
 def predict(
@@ -293,17 +307,17 @@ def mode_changes(dt: float, manoeuvres: Manoeuvres) -> Array:
 
 def transitions(dt: float, manoeuvres: Manoeuvres) -> tuple[Array, Array]:
     """F (M, 6, 6) and Q (M, 6, 6) of all modes over dt. Singer (1970); Bar-Shalom et al. (2001), section 8.2.3."""
-    rate, variance, q = 1.0 / manoeuvres.lasting_s, manoeuvres.acceleration_variance, manoeuvres.calm_psd
-    p, v, a = _reach(dt, rate)
-    pp, pv, pa, vv, va, aa = _singer_noise(dt, rate, variance)
-    agile, across = (pp, pv, pa, pv, vv, va, pa, va, aa, 0.0), q * dt**2 / 2.0
-    gentlest = manoeuvres.levels[0].scale * variance
+    variance, q, rates = manoeuvres.acceleration_variance, manoeuvres.calm_psd, manoeuvres.rates
+    across, gentlest = q * dt**2 / 2.0, manoeuvres.levels[0].variance * variance
     # One flat list, of F for all modes and then of Q: nested ones take twice as long.
     axes = [1.0, dt, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0]
-    axes += [1.0, dt, p, 0.0, 1.0, v, 0.0, 0.0, a, 0.0] * len(manoeuvres.levels)
+    for rate in rates:
+        p, v, a = _reach(dt, rate)
+        axes += [1.0, dt, p, 0.0, 1.0, v, 0.0, 0.0, a, 0.0]
     axes += [q * dt**3 / 3.0, across, 0.0, across, q * dt, 0.0, 0.0, 0.0, gentlest, 0.0]
-    for level in manoeuvres.levels:
-        axes += [level.scale * entry for entry in agile]
+    for level, rate in zip(manoeuvres.levels, rates, strict=True):
+        pp, pv, pa, vv, va, aa = _singer_noise(dt, rate, level.variance * variance)
+        axes += [pp, pv, pa, pv, vv, va, pa, va, aa, 0.0]
     F, Q = np.array(axes).reshape(2, -1, 10).take(ENTRY, axis=2)
     return F, Q
 
@@ -338,10 +352,9 @@ def _reach(t: float, rate: float) -> tuple[float, float, float]:
     return (rate * t + gone) / rate**2, -gone / rate, 1.0 + gone
 
 
-def acceleration_reach(dt: float, manoeuvres: Manoeuvres) -> tuple[float, float]:
-    """By how much an acceleration of one moves position and velocity within dt, while it decays."""
-    position, velocity, _ = _reach(dt, 1.0 / manoeuvres.lasting_s)
-    return position, velocity
+def acceleration_reach(dt: float, manoeuvres: Manoeuvres) -> list[float]:
+    """By how much an acceleration of one moves position and velocity within dt, while it decays: of each level."""
+    return [reached for rate in manoeuvres.rates for reached in _reach(dt, rate)[:2]]
 
 
 def turned(

@@ -92,6 +92,9 @@ class MbmParameters(CommonParameters):
     times this, and so is the variance of their targets' speed at birth. 1: all are hard."""
     lasting_s: float = 2.0
     """How long an acceleration lasts, s."""
+    hard_s: float = 0.5
+    """Likewise in a hard manoeuvre, where there are gentle ones too (`gentle_share`). Harder accelerations last less
+    long: 9 m/s² for two seconds is no flight of a drone that stays in view."""
     calm_s: float = 4.0
     """How long a target keeps its velocity on average, s."""
     agile_s: float = 3.0
@@ -113,7 +116,7 @@ class MbmParameters(CommonParameters):
                 )
         if not self.changeover >= 1.0:
             raise ValueError(f"tracker.changeover: found {self.changeover!r}, expected a number from 1 on")
-        for name in ("doubt_s", "agile_share", "lasting_s", "calm_s", "agile_s"):
+        for name in ("doubt_s", "agile_share", "lasting_s", "hard_s", "calm_s", "agile_s"):
             if not 0.0 < getattr(self, name) < math.inf:
                 raise ValueError(
                     f"tracker.{name}: found {getattr(self, name)!r}, expected a finite number above 0"
@@ -127,9 +130,9 @@ class MbmParameters(CommonParameters):
     def _levels(self) -> tuple[AgileLevel, ...]:
         if self.learn_noise != "both" or self.gentle_share == 1.0:
             return AS_TOLD
-        return AgileLevel(self.gentle_share, MBM_GENTLE_MANOEUVRE_SHARE), AgileLevel(
-            1.0, 1.0 - MBM_GENTLE_MANOEUVRE_SHARE
-        )
+        gentle = MBM_GENTLE_MANOEUVRE_SHARE
+        hard = AgileLevel(1.0, 1.0 - gentle, self.hard_s / self.lasting_s)
+        return AgileLevel(self.gentle_share, gentle), hard
 
     @property
     def manoeuvres(self) -> Manoeuvres:

@@ -6,7 +6,7 @@ it. Means are (n, 4), covariances (n, 4, 4): all tracks at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,10 +114,11 @@ def _through(F: Array, cov: Array) -> Array:
 
 @dataclass(frozen=True)
 class FadingAcceleration:
-    """acceleration (n, 2) px/s². reach: by how much one of 1 moves position and velocity within dt."""
+    """acceleration (L, n, 2) px/s², of L kinds that fade in times of their own. reach: by how much one of 1 moves
+    position and velocity within dt, 2 L numbers."""
 
     acceleration: Array
-    reach: Callable[[float], tuple[float, float]]
+    reach: Callable[[float], Sequence[float]]
 
 
 class Course:
@@ -143,7 +144,7 @@ class Course:
         self._camera, self._turn, self._gyro_error = camera, turn, gyro_error
         self._reach = None if drift is None else drift.reach
         # A row each for 1, dt, dt²; for Q of constant psd, which is 0 where dt < 0; for the reach of an acceleration.
-        rows = 6 if drift is None else 8
+        rows = 6 if drift is None else 6 + 2 * len(drift.acceleration)
         self._by_time = np.zeros((rows, 20 * n))
         states = self._by_time[:, : 4 * n].reshape(rows, 4, n)
         covs = self._by_time[:, 4 * n :].reshape(rows, n, 4, 4)
@@ -159,7 +160,7 @@ class Course:
         noise[1][:, [1, 4, 11, 14]] = density / 2.0
         noise[2][:, [0, 10]] = density / 3.0
         if drift is not None:
-            states[6, POSITION] = states[7, VELOCITY] = drift.acceleration.T
+            states[6::2, POSITION] = states[7::2, VELOCITY] = drift.acceleration.swapaxes(1, 2)
 
     def at(self, dt: float, rotation: Array | None, rotation_variance: float) -> tuple[Array, Array]:
         """Means (n, 4) and covariances (n, 4, 4) after dt; rotation, rotation_variance: see `propagate`."""

@@ -54,8 +54,9 @@ class CommonParameters:
     confirm_probability: float = 0.99
     """Existence above which a tentative track is confirmed."""
     max_coast_s: float = 1.0
-    """A confirmed track is dropped after so many seconds without a detection. `mbm`: up to three times as many while
-    another hides it."""
+    """A confirmed track is dropped after so many seconds without a detection, and only once its existence is below a
+    tenth: at 3 Hz that takes four misses. After three times as many seconds it is dropped anyway. `mbm`: time in which
+    another hides it counts up to three times less."""
     score_weight: float = 1.0
     """How much a detection's score s counts: its clutter intensity is scaled by ((1 − s) / s) to this power."""
     size_sigma: float = 0.2

@@ -59,6 +59,7 @@ class Population:
         newcomers = self.born(t, Measurements(points, R, unknown, np.ones(n), np.full(n, np.inf)), surely)
         newcomers.confirmed[:] = True
         self.table.append(newcomers)
+        self._judged_at = min(self._judged_at, t)
         return [int(id) for id in newcomers.id]
 
     def give_birth(self, t: float, measured: Measurements) -> None:
@@ -155,11 +156,19 @@ class Population:
         """End the tracks that were not seen for too long although they should be in view, that have faded, whose
         direction is no longer known, or that the image plane cannot hold; returns which (n,) stay, None if all do."""
         table, longest = self.table, self._parameters.max_coast_s - FRAME_TIME_ROUNDING_S
+        # What was scanned all the time and is likely there lives on: at 3 Hz, two misses in a second say little.
+        scanned, most = t - self._judged_at < longest, longest / (1.0 - MOST_HIDDEN_SHARE)
         faded = FADED_BIRTH_SHARE * self._sensor.usual_birth
         # Lists: of a few tracks, an array costs more for each question than for all answers.
         alive = [
-            t - seen < longest and existence >= faded
-            for seen, existence in zip(table.last_seen.tolist(), table.existence.tolist(), strict=True)
+            existence >= faded
+            and (
+                t - seen < longest
+                or (scanned and existence >= LOST_BELOW_EXISTENCE and not t - missed >= most)
+            )
+            for seen, missed, existence in zip(
+                table.last_seen.tolist(), table.missed_since.tolist(), table.existence.tolist(), strict=True
+            )
         ]
         vague = self._vague(t) if table.lost.any() else None
         if vague is None and all(alive) and self._reach.surely_holds_all(table.mean, table.cov):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarmtrack.benchmarks import mot
+from swarmtrack.benchmarks import mot, mot_page
 from swarmtrack.benchmarks.mot_sequences import (
     LINK_GAP,
     Faults,
@@ -110,3 +110,24 @@ def test_a_swap_costs_identity_and_nothing_else():
     assert perfect == pytest.approx({"HOTA": 1.0, "AssA": 1.0, "IDF1": 1.0, "MOTA": 1.0, "switches": 0.0})
     assert worse["IDF1"] == pytest.approx(0.5)
     assert worse["switches"] == 2.0
+
+
+def figures(idf1, hota=0.5):
+    return dict.fromkeys(("AssA", "MOTA", "switches", "ms"), 0.0) | {"IDF1": idf1, "HOTA": hota}
+
+
+TABLES = {"clips": {f"{hz} Hz": {"mbm": figures(0.9), "SORT": figures(0.2, 0.9), "SORT, boxes × 4": figures(0.8)}
+                    for hz in (30, 3)}}  # fmt: skip
+
+
+def test_a_peer_counts_once_with_the_boxes_that_suit_it():
+    assert mot_page.better_boxes(TABLES["clips"]["3 Hz"]) == {"mbm": figures(0.9), "SORT": figures(0.8)}
+    about = {"clips": {"sequences": 1, "frames": 2, "boxes": 3}}
+    page = mot_page.page({"tables": TABLES, "about": about})
+    assert "| clips, 3 Hz | **50.0** / **90.0** | **50.0** / 80.0 |" in page
+
+
+def test_the_plot_shows_every_source(tmp_path):
+    pytest.importorskip("matplotlib")
+    mot_page.draw(tmp_path / "mot.png", TABLES)
+    assert (tmp_path / "mot.png").read_bytes()[:4] == b"\x89PNG"

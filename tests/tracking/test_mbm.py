@@ -238,6 +238,7 @@ def test_a_track_that_ends_leaves_its_cluster_in_one_piece():
     cluster = tracker.filter.clusters[0]
     table = tracker.filter.table
     table.last_seen[table.id == ids[1]] = -0.2  # as if the others had been seen later
+    table.existence[table.id == ids[1]] = 0.05
     before = dict.fromkeys(map(tuple, cluster.leaf[:, [0, 2]].tolist()), 0.0)
     for leaves, weight in zip(cluster.leaf[:, [0, 2]].tolist(), cluster.weight.tolist(), strict=True):
         before[tuple(leaves)] += weight
@@ -523,6 +524,7 @@ def test_where_it_says_a_target_will_be_is_where_it_predicts_it():
         ("lasting_s", 0.0),
         ("lasting_s", float("nan")),
         ("lasting_s", float("inf")),
+        ("hard_s", 0.0),
         ("changeover", 0.5),
         ("changeover", float("nan")),
         ("calm_s", -1.0),
@@ -622,7 +624,7 @@ def levels(**told):
 def test_an_agent_knows_gentle_manoeuvres_and_hard_ones_and_others_what_they_were_told():
     assert levels(learn_noise="both") == (
         manoeuvre.AgileLevel(0.06, pytest.approx(0.9)),
-        manoeuvre.AgileLevel(1.0, pytest.approx(0.1)),
+        manoeuvre.AgileLevel(1.0, pytest.approx(0.1), pytest.approx(0.25)),
     )
     for told in ({}, {"learn_noise": "both", "gentle_share": 1.0}):
         assert levels(**told) == manoeuvre.AS_TOLD

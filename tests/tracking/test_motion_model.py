@@ -179,16 +179,19 @@ def test_a_course_says_what_propagate_says(dt, angle, turn):
     root = rng.normal(0.0, 3.0, (7, 4, 4))
     cov, psd = root @ root.swapaxes(1, 2), rng.uniform(100.0, 3000.0, 7)
     R = None if angle is None else rotation.exp(np.array(angle))
-    drift = FadingAcceleration(rng.normal(0.0, 500.0, (7, 2)), lambda dt: (0.4 * dt**2, 0.8 * dt))
+    drift = FadingAcceleration(
+        rng.normal(0.0, 500.0, (2, 7, 2)), lambda dt: (0.4 * dt**2, 0.8 * dt, 0.2 * dt**2, 0.4 * dt)
+    )
     course = Course(
         mean, cov, psd=psd, camera=CAMERA, turn=turn, drift=drift, gyro_error=lambda told: 2.0 * told
     )
     found = course.at(dt, R, 1e-5)
 
-    position, velocity = drift.reach(dt)
     drifted = mean.copy()
-    drifted[:, 1::2] += velocity * drift.acceleration
-    drifted[:, ::2] += (position - dt * velocity) * drift.acceleration
+    for acceleration, k in zip(drift.acceleration, (0, 2), strict=True):
+        position, velocity = drift.reach(dt)[k : k + 2]
+        drifted[:, 1::2] += velocity * acceleration
+        drifted[:, ::2] += (position - dt * velocity) * acceleration
     said = propagate(drifted, cov, dt, psd=psd, camera=CAMERA, rotation=R, rotation_variance=2e-5, turn=turn)
     for ours, theirs in zip(found, said, strict=True):
         assert ours == pytest.approx(theirs, rel=1e-9, abs=1e-9)

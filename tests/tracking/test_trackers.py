@@ -379,6 +379,29 @@ def test_after_a_long_silence_no_track_takes_what_comes_next(name):
     assert before not in [track.id for track in tracker.tracks]
 
 
+@every_tracker
+def test_at_three_scans_per_second_three_misses_end_no_track_and_six_do(name):
+    """What ends a track is time and evidence: `max_coast_s` without a detection, and to be likelier gone than there."""
+
+    def after(misses):
+        tracker = create_tracker(name, camera=CAMERA, p_detection=0.9, max_coast_s=1.0)
+        (track,) = tracker.initiate(0.0, np.array([[320.0, 240.0]]))
+        for k in range(1, 7 + misses):
+            tracker.update(Scan(k / 3, np.array([[320.0, 240.0]])[: k < 7]))
+        return track in [one.id for one in tracker.tracks]
+
+    assert [after(misses) for misses in (2, 3, 6)] == [True, True, False]
+
+
+@every_tracker
+def test_a_detection_that_leaves_a_doubt_is_not_the_last_chance_at_three_scans_per_second(name):
+    """A second detection that is far off leaves it open whether anything is there; the third one settles it."""
+    tracker = create_tracker(name, camera=CAMERA)
+    for k, u in enumerate((200.0, 240.0, 280.0, 320.0, 360.0)):
+        tracker.update(Scan(k / 3, np.array([[u, 200.0]]), score=np.array([0.6])))
+    assert [track.status for track in tracker.tracks if abs(track.mean[0] - 360.0) < 5.0] == ["confirmed"]
+
+
 def test_the_smallest_tracker_is_an_example_of_sixty_lines():
     assert len(SMALLEST.read_text().splitlines()) <= 60
 
