@@ -89,19 +89,6 @@ def _check(imu_rate_hz: float, system_id: int | None) -> None:
         raise SourceError(f"autopilot system_id: found {system_id}, expected 1 … 255")
 
 
-def _rates(*, by_gps: bool, channels: bool, mode: bool, fed: bool) -> dict[int, float]:
-    """Hz by message, beside gyro and attitude: of places, of the transmitter's channels, of the mode; fed: of what an
-    autopilot says beside that is fed our place."""
-    rates = dict(GLOBAL_POSE if by_gps else LOCAL_POSE)
-    if fed:
-        rates = {GPS_RAW_INT: FED_FIX_HZ, LOCAL_POSITION_NED: LOCAL_ORIGIN_HZ} | rates
-    if channels:
-        rates[RC_CHANNELS] = PILOT_SWITCH_HZ
-    if mode:
-        rates[CURRENT_MODE] = CURRENT_MODE_HZ
-    return rates
-
-
 def _flight_state(m: Any) -> tuple[int, ...]:
     """All that a heartbeat says."""
     return m.type, m.autopilot, m.base_mode, m.custom_mode, m.system_status
@@ -169,18 +156,11 @@ class MavlinkAutopilot:
         key = None if signing_key is None else read_key(signing_key)
         # Until the vehicle's own system is known we speak as its most likely one.
         self._codec = Codec(clock, system=system_id or 1, component=component_id, key=key)
-        self._framer = Framer()
-        self._contact = Contact(system_id)
+        self._framer, self._contact, self._flight = Framer(), Contact(system_id), FlightWatch()
         self._news = RepeatLimiter(self._now)
-        self._flight = FlightWatch()
         self._switch, self._engagement, self._fed = switch, engagement, fed
         name, recording, line = str(self._link.address), self._link.recording, self._link.bytes_per_second
-        rates = _rates(
-            by_gps=gps is not None,
-            channels=self._reads_channels,
-            mode=engagement is not None,
-            fed=fed is not None,
-        )
+        rates = self._rates(by_gps=gps is not None)
         self._requests = StreamRequests(imu_rate_hz, rates, line=line, signed=key is not None)
         self._gyro_delays = GyroDelays(gyro_delay_s, asks=not recording, name=name)
         self._telemetry = Telemetry(
@@ -210,9 +190,20 @@ class MavlinkAutopilot:
         self._account = Account(self._link.address.scheme)
         self._early: deque[_EarlyFrame] = deque(maxlen=EARLY_FRAMES_KEPT)
         self._next_heartbeat = self._next_tick = self._next_choice = -math.inf
-        self._met_at = math.inf
-        """When our autopilot was chosen."""
+        self._met_at = math.inf  # when our autopilot was chosen
         self._greeted, self._overheard, self._overheard_since = False, 0, -math.inf
+
+    def _rates(self, *, by_gps: bool) -> dict[int, float]:
+        """Hz by message, beside gyro and attitude: of places; of the transmitter's channels and the mode, where these
+        are watched; and of what else an autopilot says that is fed our place."""
+        rates = dict(GLOBAL_POSE if by_gps else LOCAL_POSE)
+        if self._fed is not None:
+            rates = {GPS_RAW_INT: FED_FIX_HZ, LOCAL_POSITION_NED: LOCAL_ORIGIN_HZ} | rates
+        if self._reads_channels:
+            rates[RC_CHANNELS] = PILOT_SWITCH_HZ
+        if self._engagement is not None:
+            rates[CURRENT_MODE] = CURRENT_MODE_HZ
+        return rates
 
     @property
     def _reads_channels(self) -> bool:

@@ -118,16 +118,12 @@ class Telemetry:
         gyro_delays: GyroDelays,
         fed: FedPosition | None = None,
     ) -> None:
-        self._requests = requests
-        self._contact = contact
-        self._news = news
+        self._requests, self._contact, self._news = requests, contact, news
         self._gps, self._fed = gps, fed
         self.local_origin: Array | None = np.zeros(3) if gps is None else None
         """(3,) m: positions in the autopilot's local frame less those that it is read by; None: not known."""
-        self._recorded = link.recording
-        self._send = send
-        self._gyro_delays = gyro_delays
-        self._name = str(link.address)
+        self._recorded, self._name = link.recording, str(link.address)
+        self._send, self._gyro_delays = send, gyro_delays
         self.listener: AutopilotListener
         self.stamped = frozenset(
             {*RANKS, ATTITUDE_QUATERNION, ATTITUDE, ODOMETRY, LOCAL_POSITION_NED, GLOBAL_POSITION_INT}
@@ -150,9 +146,8 @@ class Telemetry:
         self.attitudes = Intake("attitudes")
         self.positions = Intake("positions")
         self._frame_loss = FrameLoss(framer, self.senders)
-        self._poses_without_position = self._poses_fed = self._reboots = self._replaced = (
-            self._breaks_before
-        ) = 0
+        self._poses_without_position = self._poses_fed = 0
+        self._reboots = self._replaced = self._breaks_before = 0
 
         self.cadence = Cadence()
         self.imu_at = -math.inf  # when the last sample came

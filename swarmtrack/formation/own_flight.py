@@ -10,6 +10,7 @@ import numpy as np
 
 from swarmtrack.formation.margins import GROUND_STALE_S, OWN_CODES_KEPT, SWAY_DIFFERENCE_S
 from swarmtrack.formation.setpoint import NO_SWAY, OwnFlight, OwnSway
+from swarmtrack.geometry.covariance import worst_sigma
 from swarmtrack.messages import AgreedMotion, Array, EgoPose
 from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.motion.gyro import GyroHistory
@@ -71,7 +72,7 @@ class OwnFlightRecord:
             (north, east, down),
             (vn, ve, vd),
             math.atan2(float(axis[1]), float(axis[0])),
-            position_sigma=math.sqrt(float(pose.position_cov.diagonal()[:2].max())),
+            position_sigma=worst_sigma(pose.position_cov[:2, :2]),
             height_sigma=math.sqrt(float(pose.position_cov[2, 2])),
             pose_age=math.inf if newest is None else now - newest,
             gyro_age=math.inf if gyro is None else now - gyro,
@@ -84,7 +85,7 @@ class OwnFlightRecord:
             ground=self._ground_below(now, pose.position[2] + path[2]),
             height_sights=height_sights,
             is_carried=pose.is_carried,
-            velocity_sigma=math.sqrt(float(velocity_cov.diagonal().max())) if pose.is_carried else 0.0,
+            velocity_sigma=worst_sigma(velocity_cov) if pose.is_carried else 0.0,
         )
 
     def _sway(self, now: float) -> OwnSway:

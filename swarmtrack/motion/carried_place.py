@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from swarmtrack.geometry.covariance import worst_sigma
 from swarmtrack.messages import Array
 
 
@@ -54,4 +54,4 @@ class CarriedPlace:
     @property
     def sigma_m(self) -> float:
         """m, of the worst axis, at t."""
-        return math.sqrt(float(self.cov.diagonal()[:3].max()))
+        return worst_sigma(self.cov[:3, :3])

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmtrack.geometry import rotation
+from swarmtrack.geometry.covariance import worst_sigma
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Array, EgoPose, FlightState, MotionReport
 from swarmtrack.motion.carried_place import CarriedPlace
@@ -59,12 +60,12 @@ class TeamPose:
     @property
     def position_sigma(self) -> float:
         """Standard deviation of the worst axis [m], where one number must do for all."""
-        return math.sqrt(float(self.position_cov.diagonal().max()))
+        return worst_sigma(self.position_cov)
 
     @property
     def attitude_sigma(self) -> float:
         """Standard deviation of the worst axis [rad]."""
-        return math.sqrt(float(self.attitude_cov.diagonal().max()))
+        return worst_sigma(self.attitude_cov)
 
     @property
     def tilt_sigma(self) -> float:

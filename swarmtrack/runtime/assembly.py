@@ -131,13 +131,11 @@ def assemble(config: DroneConfig, wall: Clock, imported: ManualClock | None = No
         with config.blamed(*config.camera_key(number, "source")):
             cameras.append(make_camera(section, one, clock, simulation))
         mounted.append(one)
-    if config.camera.detects_by_itself:
-        with config.blamed("output", "video"):
-            _refuse_video(config)
+    _refuse_unseen_video(config)
     with config.blamed("autopilot", "link"):
         in_step = imported is None and paced is not None
-        consents = _pilot_switch(config.formation.switch)
-        engagement = PilotEngagement(consents) if config.flies_in_formation else None
+        switch = _pilot_switch(config.formation.switch)
+        engagement = PilotEngagement(switch) if config.flies_in_formation else None
         fed = FedPosition() if config.autopilot.feed == "odometry" else None
         autopilot = make_autopilot(config, clock, simulation, in_step=in_step, engagement=engagement, fed=fed)
     with config.blamed("detector", "model"):
@@ -236,8 +234,11 @@ def make_camera(
     return open_camera(section.source, clock=clock, size=(mounted.camera.width, mounted.camera.height))
 
 
-def _refuse_video(config: DroneConfig) -> None:
-    if config.output.video is not None:
+def _refuse_unseen_video(config: DroneConfig) -> None:
+    """A camera that sends detections has no picture for a video."""
+    if not config.camera.detects_by_itself or config.output.video is None:
+        return
+    with config.blamed("output", "video"):
         raise SourceError(
             f"found {config.output.video}, expected no video: camera.source {config.camera.source} sends "
             "detections, no pictures (jsonl does work)"

@@ -21,6 +21,7 @@ from swarmtrack.autopilot.mavlink_autopilot import MavlinkAutopilot
 from swarmtrack.autopilot.notices import Severity
 from swarmtrack.autopilot.odometry import no_odometry, odometry, quality_of
 from swarmtrack.clock import Clock
+from swarmtrack.geometry.covariance import worst_sigma
 from swarmtrack.messages import LinkStatus
 from swarmtrack.motion.ego import AutopilotPlace
 from swarmtrack.outputs.wording import held_in_words
@@ -108,7 +109,7 @@ class PlaceFeed:
             return "where the autopilot's local frame begins is unknown"
         if self._fed.is_own_again(now):
             return f"its receiver has had a fix for {FED_FIX_BACK_S:.0f} s"
-        age, sigma = now - place.held_t, _sigma(place)
+        age, sigma = now - place.held_t, worst_sigma(place.position_cov)
         share = 1.0 if self._feeds else BEGINS_BELOW_SHARE
         if not age <= share * self._p.oldest_s:
             self._old += 1
@@ -126,7 +127,7 @@ class PlaceFeed:
         assert origin is not None
         stepped = self._last is not None and has_stepped(self._last, place)
         resets = self._resets + stepped
-        quality = quality_of(_sigma(place), self._p.vaguest_m)
+        quality = quality_of(worst_sigma(place.position_cov), self._p.vaguest_m)
         message = odometry(place, kind=kind or 0, origin=origin, quality=quality, resets=resets)
         if not self._autopilot.send_message(message):
             return "the autopilot is silent"
@@ -145,7 +146,7 @@ class PlaceFeed:
     def _say(self, place: AutopilotPlace | None, why: str, now: float) -> None:
         feeds = not why
         if feeds != self._feeds:
-            held = "" if place is None else held_in_words(place.by, _sigma(place))
+            held = "" if place is None else held_in_words(place.by, worst_sigma(place.position_cov))
             self._tell(f"place feed begins: {held}" if feeds else f"place feed ends: {why}")
         self._feeds, self._why = feeds, why
         if feeds and not self._said_back and self._fed.is_coming_back(now):
@@ -176,8 +177,3 @@ def has_stepped(before: AutopilotPlace, after: AutopilotPlace) -> bool:
     moved = after.position - before.position - 0.5 * dt * (before.velocity + after.velocity)
     cov = before.position_cov + after.position_cov + dt * dt * (before.velocity_cov + after.velocity_cov)
     return float(moved @ np.linalg.solve(cov, moved)) > STEP_SIGMAS**2
-
-
-def _sigma(place: AutopilotPlace) -> float:
-    """m, of the worst axis."""
-    return math.sqrt(float(place.position_cov.diagonal().max()))

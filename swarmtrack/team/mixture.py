@@ -65,6 +65,20 @@ class OwnKnowledge(NamedTuple):
     heading_sigma: float = HEADING_LEAST_SIGMA_RAD
 
 
+class _Weighing(NamedTuple):
+    """What one weighing is of: n tracks, what each says, and m teammates; looked_at (n, m): the pairs that do not
+    sleep; used: the components. Log ratios are filled into `each`, by track (s, k, m): of its segments."""
+
+    tracks: Sequence[TrackEvidence]
+    told: Sequence[Told]
+    mates: Sequence[Teammate]
+    each: Sequence[Array]
+    looked_at: NDArray[np.bool_]
+    used: NDArray[np.intp]
+    t: float
+    known: OwnKnowledge
+
+
 class JointMixture:
     """`weight` (k,) of the components; `p_fault`: the probability that the own heading or start is wrong; `is_settled`:
     whether one component, and each track's name, is sure, or in a large team the own pose; `unlocated`: how many
@@ -141,16 +155,12 @@ class JointMixture:
         base = [past.log for past in pasts]
         told = [track.told() for track in tracks]
         each, looked_at = self._pairs(tracks, mates, base)
+        weighing = _Weighing(tracks, told, mates, each, looked_at, used, t, known)
         many = self._of_one_kind(mates, t) if is_wide(len(tracks), len(mates)) else []
         if many:
-            log_w = log_w + self._of_many(
-                many, mates, tracks, told, each, looked_at=looked_at, used=used, t=t, known=known
-            )
-        for c, mate in enumerate(mates):
-            if c not in many:
-                log_w = log_w + self._of_teammate(
-                    c, mate, tracks, told, each, looked_at=looked_at, used=used, t=t, known=known
-                )
+            log_w = log_w + self._of_many(many, weighing)
+        for c in sorted(set(range(len(mates))) - set(many)):
+            log_w = log_w + self._of_teammate(c, weighing)
         waiting = [i for i, track in enumerate(tracks) if track.waits]
         worth = self._log_weight[used] > LOG_SLEEPS
         for i, past in pasts_from_now(waiting, pasts, each, worth).items():
@@ -204,21 +214,10 @@ class JointMixture:
         found[ConfigFault.NONE] += as_stated
         return found
 
-    def _of_teammate(
-        self,
-        c: int,
-        mate: Teammate,
-        tracks: Sequence[TrackEvidence],
-        told: Sequence[Told],
-        each: Sequence[Array],
-        *,
-        looked_at: NDArray[np.bool_],
-        used: NDArray[np.intp],
-        t: float,
-        known: OwnKnowledge,
-    ) -> Array:
-        """(k,): what is known of one teammate says of the components used; its log ratios go into column c of `each`,
-        by segment of each track that is looked at (n, m)."""
+    def _of_teammate(self, c: int, weighing: _Weighing) -> Array:
+        """(k,): what is known of one teammate says of the components used; its log ratios go into column c."""
+        tracks, told, mates, each, looked_at, used, t, known = weighing
+        mate = mates[c]
         before, at_tracks = mate.told(t), np.flatnonzero(looked_at[:, c]).tolist()
         if before.any() or mate.p_supposed or any(told[i].known[mate.column] for i in at_tracks):
             cases = [told[i].of(mate.column) for i in at_tracks]
@@ -280,20 +279,9 @@ class JointMixture:
             c for c, mate in enumerate(mates) if not (mate.doubting or mate.p_supposed or mate.told(t).any())
         ]
 
-    def _of_many(
-        self,
-        many: Sequence[int],
-        mates: Sequence[Teammate],
-        tracks: Sequence[TrackEvidence],
-        told: Sequence[Told],
-        each: Sequence[Array],
-        *,
-        looked_at: NDArray[np.bool_],
-        used: NDArray[np.intp],
-        t: float,
-        known: OwnKnowledge,
-    ) -> Array:
+    def _of_many(self, many: Sequence[int], weighing: _Weighing) -> Array:
         """What `_of_teammate` does for one, for many `_of_one_kind` at once."""
+        tracks, told, mates, each, looked_at, used, t, known = weighing
         column = np.array([mate.column for mate in mates])
         anywhere = np.array([0.0 if mate.knows_start else LOG_ANYWHERE for mate in mates])
         nothing = log_evidence_of_nothing(used, doubting=False)

@@ -450,11 +450,12 @@ class TeamPosterior:
         mates = list(self.teammates.values())
         ids, tracks = [mate.drone_id for mate in mates], list(self._tracks.values())
         P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
+        moved: dict[int, Mapping[int, float]]
         if self.mixture.looks_at_all:
             rows = self.mixture.by_motion(tracks, mates, self._known).tolist() if tracks else []
             moved = {id: dict(zip(ids, row, strict=True)) for id, row in zip(self._tracks, rows, strict=True)}
         else:
-            moved = {id: dict(named.by_motion) for id, named in self.named.items()}
+            moved = {id: named.by_motion for id, named in self.named.items()}
         for id, p in zip(self._tracks, P, strict=True):
             p_none = max(1.0 - sum(p), 0.0)
             # Of a track that has come since, motion says nothing yet.

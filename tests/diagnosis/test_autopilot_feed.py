@@ -1,14 +1,10 @@
 """Whether an autopilot takes the place that it is fed: judged by its parameters, which are read, never written."""
 
-import asyncio
-import time
-
 import pytest
 from pymavlink.dialects.v20 import common
 
-from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
-from support.ports import free_port
-from swarmtrack.agents.main import main
+from support.asked_autopilot import check_asks
+from support.fake_autopilot import FakeAutopilot, FakePx4
 from swarmtrack.config.drone import load_config
 from swarmtrack.diagnosis.autopilot_feed import asked_of_feed, check_feed
 from swarmtrack.diagnosis.autopilot_limits import ARDUPILOT_KIND, PX4_KIND
@@ -73,15 +69,8 @@ autopilot.feed = "odometry"
     ("make", "said"), [(FakeAutopilot, "VISO_TYPE is 0"), (FakePx4, "EKF2_EV_CTRL is 15")]
 )
 async def test_config_check_asks_a_fed_autopilot_and_writes_nothing(tmp_path, capsys, make, said):
-    port = free_port()
-    config = tmp_path / "drone.toml"
-    config.write_text(CONFIG.format(link=f"udpin:127.0.0.1:{port}"))
-    autopilot = make(boot_at=time.monotonic() - 40.0)
-    async with serve_udp(autopilot, "127.0.0.1", port):
-        code = await asyncio.to_thread(main, ["config", "check", str(config), "--autopilot"])
-    assert code == 0
+    assert await check_asks(make, CONFIG, tmp_path) == 0
     assert said in capsys.readouterr().out
-    assert autopilot.parameters.written == 0
 
 
 def test_a_feed_without_an_autopilot_is_an_error_of_the_config(tmp_path):

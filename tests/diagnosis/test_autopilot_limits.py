@@ -3,13 +3,13 @@
 import asyncio
 import math
 import struct
-import time
 
 import pytest
 from pymavlink.dialects.v20 import common
 
+from support.asked_autopilot import check_asks
 from support.autopilot_flight import Flight
-from support.fake_autopilot import FakeAutopilot, FakePx4, serve_udp
+from support.fake_autopilot import FakeAutopilot, FakePx4
 from support.ports import free_port
 from swarmtrack.agents.main import main
 from swarmtrack.autopilot.parameters import ParameterReader
@@ -161,15 +161,8 @@ leader = 1
     ("make", "said"), [(FakeAutopilot, "set GUID_TIMEOUT to 1"), (FakePx4, "set COM_RC_OVERRIDE to 3")]
 )
 async def test_config_check_asks_the_autopilot_over_its_link_and_writes_nothing(tmp_path, capsys, make, said):
-    port = free_port()
-    config = tmp_path / "drone.toml"
-    config.write_text(CONFIG.format(id=2, link=f"udpin:127.0.0.1:{port}"))
-    autopilot = make(boot_at=time.monotonic() - 40.0)
-    async with serve_udp(autopilot, "127.0.0.1", port):
-        code = await asyncio.to_thread(main, ["config", "check", str(config), "--autopilot"])
-    assert code == 0
+    assert await check_asks(make, CONFIG.replace("{id}", "2"), tmp_path) == 0
     assert said in capsys.readouterr().out
-    assert autopilot.parameters.written == 0
 
 
 def test_a_recording_is_asked_nothing(tmp_path, capsys):
