@@ -122,8 +122,8 @@ class TeammatePrior:
         return S.reshape(-1, len(_ROW)) @ _squares(self.y[:, :, used])
 
     def far_products(self, S: Array) -> Array:
-        """(3, n, c): the same of S (n, 36) with a heading that is anywhere."""
-        return S @ self.far_squares
+        """(3, n c, far): the same of S (n, c, 36) with a heading that is anywhere."""
+        return S.reshape(-1, len(_ROW)) @ self.far_squares
 
 
 class PriorsOfMany(NamedTuple):
@@ -222,7 +222,8 @@ class Marginal:
         shares = [(1.0 - sum(p) - p_far, *p) for p in (p_off, P_LOOSE_START_OFF)]
         self._log_shares = np.log(shares)
         """(2, c): by how far starts are off, of a team whose starts are as stated, and of one whose are not."""
-        self._log_far = math.log(p_far)
+        self._log_far_shares = math.log(p_far) + np.log([1.0 - p_off[0], p_off[0]])
+        """(2,): with a heading of its own that is anywhere, its start is as stated, or off by the least of these."""
         Sigma = cov + np.array(
             [(spread**2 + m**2) * _HORIZONTAL for m in (0.0, *START_OFF_SIGMA_M) for spread in spreads]
         )
@@ -281,13 +282,15 @@ class Marginal:
         return np.asarray(log + self._log_volume[:, columns, None])
 
     def _of_far(self, prior: TeammatePrior | PriorsOfMany) -> Array:
-        """(n,): with the teammate's heading anywhere, and its start as stated."""
-        sigma = TEAMMATE_HEADING_CELL_SIGMA_RAD
-        g00, g01, g11 = prior.far_products(self._S[:, 0])
+        """(n,): with the teammate's heading anywhere, and its start as stated and off."""
+        sigma, step = TEAMMATE_HEADING_CELL_SIGMA_RAD, len(self._spreads)
+        every = slice(None, step * len(self._log_far_shares), step)
+        S = self._S[:, every]
+        g00, g01, g11 = prior.far_products(S)
         h = g11 * sigma**2 + 1.0
         log = -0.5 * (g00 - (g01 * sigma) ** 2 / h) - 0.5 * np.log(h)
-        log += self._log_volume[:, :1] + self._log_far - math.log(g00.shape[1])
-        return log_sum(log, 1)
+        log = log_sum(log, 1).reshape(S.shape[:2]) + self._log_volume[:, every]
+        return log_sum(log + self._log_far_shares - math.log(g00.shape[1]), 1)
 
     def solutions(
         self,
@@ -307,13 +310,14 @@ class Marginal:
         sigma = np.array([[heading_sigma if k == 0 else float(errors.sigma[k]), TEAMMATE_HEADING_SIGMA_RAD]])
         sigma, log_share = np.repeat(sigma, c, axis=0), self._log_shares[int(errors.loose[k])]
         if far and k == 0:
-            n = prior.far.shape[2]
+            n, starts = prior.far.shape[2], len(self._log_far_shares)
             turned = np.repeat(prior.y[None, :, :, 0], n, axis=0)
             turned[:, :, [0, 2]] = prior.far.transpose(2, 0, 1)
             turned[:, :2, 1] = -turned[:, :2, 2]
-            y, P = np.concatenate([y, turned]), np.concatenate([P, np.repeat(self._P[:1], n, axis=0)])
-            sigma = np.concatenate([sigma, [[heading_sigma, TEAMMATE_HEADING_CELL_SIGMA_RAD]] * n])
-            log_share = np.append(log_share, [self._log_far - math.log(n)] * n)
+            y = np.concatenate([y, np.tile(turned, (starts, 1, 1))])
+            P = np.concatenate([P, np.repeat(P[:starts], n, axis=0)])
+            sigma = np.concatenate([sigma, [[heading_sigma, TEAMMATE_HEADING_CELL_SIGMA_RAD]] * (n * starts)])
+            log_share = np.append(log_share, np.repeat(self._log_far_shares - math.log(n), n))
         return _solved(M, P, y, sigma, log_share)
 
 
