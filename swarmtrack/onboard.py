@@ -68,6 +68,7 @@ from swarmtrack.motion.ground_heights import GroundHeightNews, GroundHeights
 from swarmtrack.motion.gyro import GyroHistory, Orientation
 from swarmtrack.motion.gyro_bias import GyroBias, KnownGyroBias
 from swarmtrack.motion.heading import HeadingBulletin, HeadingSteps
+from swarmtrack.motion.heading_at_rest import HeadingAtRest
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.motion.time_offset import CameraClock
 from swarmtrack.perceived import Counters
@@ -157,6 +158,7 @@ class Onboard:
         self._first = first = cameras[0].mounting
         self._bias = GyroBias(gyro, estimates=estimate_gyro_bias)
         self._heading_steps = HeadingSteps(gyro, first.body_from_camera.rotation)
+        self._heading_at_rest = HeadingAtRest()
         self._heading_bulletin = HeadingBulletin()
         self._ground_heights = GroundHeights()
         self._ego = ego
@@ -197,6 +199,8 @@ class Onboard:
                 if self._uses_gyro:
                     x, y, z = (self._first.camera_from_body @ event.gyro).tolist()
                     self.gyro.append(event.t, (x, y, z))
+                    if self._ego.heading.is_on_ground:
+                        self._heading_at_rest.add_gyro(event)
                     self._bias.settle()
                     self._settle()
             case VisualTurn():
@@ -379,8 +383,8 @@ class Onboard:
     def part_counters(self) -> dict[str, int]:
         """What its parts refused or had to mend."""
         parts = (
-            self._rig, self.gyro, self._ego, self._bias, self._heading_steps, self._consensus, self._metres,
-            self._strangers, self._own_place,
+            self._rig, self.gyro, self._ego, self._bias, self._heading_steps, self._heading_at_rest, self._consensus,
+            self._metres, self._strangers, self._own_place,
         )  # fmt: skip
         return {name: count for part in parts for name, count in part.counters.items()}
 
@@ -391,12 +395,13 @@ class Onboard:
 
     def _watch_heading(self, pose: EgoPose) -> None:
         """Has the autopilot's heading jumped, or has it been aligned in flight? Then the team should hear of it."""
-        steps = self._heading_steps.add_pose(pose)
-        for step in steps:
+        heading, steps = self._ego.heading, self._heading_steps.add_pose(pose)
+        at_rest = self._heading_at_rest.add_pose(pose, is_on_ground=heading.is_on_ground)
+        # Of a drone at rest every change counts, those that are steps too.
+        for step in steps if at_rest is None else at_rest:
             turned = self._ego.step_heading(pose.t, step)
             self._identities.step_heading(pose.t, turned)
             self._flight.step_heading(pose.t)
-        heading = self._ego.heading
         aligned = heading.is_aligned(pose.t)
         news = self._heading_bulletin.news(pose.t, steps, is_aligned=aligned, doubt=heading.doubt)
         if news is not None:

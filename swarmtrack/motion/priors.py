@@ -76,6 +76,11 @@ HEADING_GYRO_BIAS_RAD_S = 0.02
 HEADING_GYRO_SCALE_ERROR = 0.02
 # Standard deviations of a mean's error that are no step.
 HEADING_STEP_SIGMAS = 4.0
+# A drone at rest: its gyro scatters by less, within a window, and reads no more than a bias. Simulated and live
+# autopilots on the ground with motors off: 0.002 to 0.005 rad/s.
+REST_GYRO_SIGMA_RAD_S, REST_WINDOW_S = 0.01, 0.25
+# Its heading is taken as the mean of so many attitudes, and rays are turned along with it by no less at once.
+REST_HEADING_ATTITUDES, REST_HEADING_STEP_RAD = 10, math.radians(0.5)
 # Between two attitudes; a step within a longer gap cannot be told from a turn.
 HEADING_LONGEST_GAP_S = 0.5
 # Between two pieces of news: each costs the team an announcement.
