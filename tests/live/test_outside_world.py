@@ -49,7 +49,7 @@ class Others(NamedTuple):
 
 @contextmanager
 def others(folder: Path, scenario: str = PAIR, seconds: float = 6.0, seed: int = 1) -> Iterator[Others]:
-    """Two simulated autopilots that fly a scenario, and a world file with what that expects, and the same starts."""
+    """Simulated autopilots that fly a scenario, and a world file with what that expects, and the same starts."""
     flown = folder / "flown.toml"
     flown.write_text(scenario, encoding="utf-8")
     process = subprocess.Popen(
@@ -174,7 +174,9 @@ def test_the_recording_is_judged_as_the_flight_was(flown, capsys):
 
 
 @pytest.mark.long("two flights of 15 s each; the default run flies a mixed pair behind --world")
-@pytest.mark.parametrize("autopilots", [("px4", "px4"), ("ardupilot", "px4")])
+@pytest.mark.parametrize(
+    "autopilots", [("px4", "px4"), ("ardupilot", "px4"), ("px4", "px4", "px4"), ("ardupilot", "px4", "px4")]
+)
 def test_the_verdict_is_that_of_the_same_flight_in_our_own_simulation(tmp_path, autopilots):
     drones = f"drones = {len(autopilots)}\nautopilots = {json.dumps(autopilots)}"
     scenario = PAIR.replace("drones = 2", drones)
