@@ -40,6 +40,7 @@ from swarmtrack.team.priors import (
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
+    NEAREST_BOX_M,
     P_BELIEVED,
     P_ELSEWHERE,
     P_FRAME_KEPT,
@@ -49,6 +50,7 @@ from swarmtrack.team.priors import (
     P_SUPPOSED,
     REBOOTED_M,
     REPORT_WAIT_S,
+    REPORTED_DEVIATION,
     ROUND_NEAR_S,
     ROUND_S,
     START_LEAST_SIGMA_M,
@@ -349,6 +351,7 @@ class TeamPosterior:
             span_variance=np.array([mate.span_variance for mate, _ in near]),
             is_near=np.array([mate.knows_start for mate, _ in near]),
             log_there=np.array([mate.log_waits(scan.t) for mate, _ in near]),
+            within=_distances(near, scan.origin),
         )
         knows = np.array([mate.knows(scan.t) for mate, _ in near])
         with_far = round(scan.t / ROUND_S) % FAR_COMPARED_EVERY == 0
@@ -371,9 +374,10 @@ class TeamPosterior:
             return deviation
         late = scan.t_sigma * float(np.linalg.norm(scan.origin - before.origin)) / (scan.t - before.t)
         late = math.hypot(late, scan.origin_sigma) if scan.origin_sigma else late
-        lasts = deviation.sigma > 0.0
+        # A walk of reported places is too slow for it.
+        lasts = deviation.bandwidth > REPORTED_DEVIATION[1]
         return deviation._replace(
-            sigma=np.where(lasts, np.hypot(deviation.sigma, late), 0.0),
+            sigma=np.where(lasts, np.hypot(deviation.sigma, late), deviation.sigma),
             white=deviation.white + np.where(lasts, 0.0, late**2),
         )
 
@@ -513,6 +517,15 @@ class TeamPosterior:
         return np.asarray(
             design((said.place - mate.start)[None], self._scans[camera][-1].origin - self._start)[0]
         )
+
+
+def _distances(near: Sequence[tuple[Teammate, SaidPlace]], origin: Array) -> tuple[float, float]:
+    """The least and the largest distance [m] from the origin (3,) m at which teammates say that they are; any, where
+    one of them may be anywhere."""
+    if not all(mate.knows_start for mate, _ in near):
+        return 0.0, math.inf
+    away = [max(float(np.linalg.norm(said.place - origin)), NEAREST_BOX_M) for _, said in near]
+    return min(away), max(away)
 
 
 def _carried_log_odds(p: float, p_none: float, p_same: float) -> float:

@@ -60,8 +60,12 @@ SOMEWHERE_SIGMA_M = 30.0
 
 # --- Bearings and reported places. ---
 
-# White error of a reported place against the one that is flown.
-REPORTED_PLACE_SIGMA_M = 0.12
+# How far a teammate is from a place that it reports, slowly, m and rad/s, and white: the estimates of both autopilots
+# walk. A live ArduPilot's walks by 2 cm RMS per axis, a PX4's by 5 to 18 cm, within a minute or two. The white part is
+# what a curve through one report per second does not follow.
+REPORTED_DEVIATION, REPORTED_WHITE_M = (0.2, 0.1), 0.1
+# Of a place that teammates carry, rad/s.
+CARRIED_BANDWIDTH_RAD_S = 1.0
 # How far a teammate is from where it says that it moved, smoothly, m and rad/s, and white; the same of a code, and of a
 # plan.
 MOTION_DEVIATION, MOTION_WHITE_M = (0.05, 0.5), 0.04
@@ -123,8 +127,8 @@ SMALLEST_BOX_PX = 2.0
 STRANGER_HOVER_M_SQRT_S = 0.15
 STRANGER_MANOEUVRES_M_SQRT_S, STRANGER_MANOEUVRES_M_S2, STRANGER_MANOEUVRES_M_S = 0.1, 1.0, 0.7
 STRANGER_STRAIGHT_M_S, STRANGER_STRAIGHT_M_S2 = 2.0, 0.3
-# How well the parallax of a stranger is known, as a share of it.
-STRANGER_PARALLAX_SIGMA = 0.4
+# How well the parallax of a stranger is known, as a share of it: most are scenery, at any distance.
+STRANGER_PARALLAX_SIGMA = 1.0
 
 # --- Tracks and scenes. ---
 

@@ -15,6 +15,7 @@ import numpy as np
 from swarmtrack.messages import Array
 from swarmtrack.team.priors import (
     BEND_ERROR,
+    CARRIED_BANDWIDTH_RAD_S,
     CARRIED_M_S2,
     CARRIED_MOST_S,
     FLEW_M_S,
@@ -22,7 +23,8 @@ from swarmtrack.team.priors import (
     MOTION_DEVIATION,
     MOTION_WHITE_M,
     PLACE_LASTS_S,
-    REPORTED_PLACE_SIGMA_M,
+    REPORTED_DEVIATION,
+    REPORTED_WHITE_M,
     WAITING_M_S,
     WAITING_MOST_M,
 )
@@ -118,9 +120,12 @@ class ReportedPlaces:
 def _said(place: Array, white_sigma: float, report: Report) -> SaidPlace:
     speed = 0.0 if report.velocity is None else float(np.linalg.norm(report.velocity))
     late = report.t_sigma * speed
-    if not report.measured or report.velocity is None:
-        white = REPORTED_PLACE_SIGMA_M**2 + white_sigma**2 + late**2
-        return SaidPlace(place, report.sigma, 1.0, white)
-    sigma, bandwidth = MOTION_DEVIATION
-    sigma = math.hypot(sigma, late)
-    return SaidPlace(place, sigma, bandwidth, MOTION_WHITE_M**2 + white_sigma**2)
+    if report.measured and report.velocity is not None:
+        sigma, bandwidth = MOTION_DEVIATION
+        return SaidPlace(place, math.hypot(sigma, late), bandwidth, MOTION_WHITE_M**2 + white_sigma**2)
+    sigma, bandwidth = REPORTED_DEVIATION
+    white = REPORTED_WHITE_M**2 + white_sigma**2 + late**2
+    if report.sigma:
+        # Where teammates carry it, it deviates within seconds.
+        sigma, bandwidth = math.hypot(sigma, report.sigma), CARRIED_BANDWIDTH_RAD_S
+    return SaidPlace(place, sigma, bandwidth, white)

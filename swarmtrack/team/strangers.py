@@ -2,8 +2,8 @@
 
 Whatever is not in the team stands, hovers (a random walk), manoeuvres (random acceleration) or flies straight. Each is
 a filter of a direction and its rate; across the bearing both axes are alike, so a covariance is (2, 2), of angle and
-rate. The filter pays the same white errors as the teammate that the track is compared with, at the distance at which
-that would be: otherwise every lasting error would speak for strangers.
+rate. The filter pays the same white errors as the teammate that the track is compared with, and predicts no bearing
+better than the teammate does: otherwise every lasting error, which takes both aside, would speak for strangers.
 """
 
 from __future__ import annotations
@@ -58,12 +58,14 @@ class StrangerFilters(TeammateRows):
         dt: Array,
         parallax: Array,
         variance: Array,
+        least: Array,
         distance: Array,
     ) -> Array:
         """Log predictive densities (m, KINDS) per rad² of a bearing (3,) by the filters of m columns; it is folded in.
 
         dt (m,) s since the last; parallax (m, 3) rad: of the own motion since then, at distance (m,) m; variance (m,)
-        rad² of the bearing, all white errors included. Filters that begin return zeros.
+        rad² of the bearing, all white errors included; least (m,) rad²: of any prediction. Filters that begin return
+        zeros.
         """
         new = ~self._begun[columns]
         if new.any():
@@ -80,7 +82,8 @@ class StrangerFilters(TeammateRows):
         innovation = bearing - direction
         innovation -= bearing * (innovation @ bearing)[..., None]
         S = p00 + variance[:, None]
-        log_density = -np.log(2.0 * math.pi * S) - 0.5 * np.sum(innovation**2, axis=-1) / S
+        vague = np.maximum(S, least[:, None])
+        log_density = -np.log(2.0 * math.pi * vague) - 0.5 * np.sum(innovation**2, axis=-1) / vague
         k0, k1 = p00 / S, p01 / S
         updated = np.stack([p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01], axis=-1)
         old = columns[~new]

@@ -91,7 +91,8 @@ class Compared(NamedTuple):
 
     columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; deviation: how far it
     may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance; log_there
-    (m,): log prior that it is about there at all.
+    (m,): log prior that it is about there at all; within [m]: the least and the largest distance at which one of them
+    says that it is.
     """
 
     columns: NDArray[np.intp]
@@ -101,6 +102,7 @@ class Compared(NamedTuple):
     span_variance: Array
     is_near: NDArray[np.bool_]
     log_there: Array
+    within: tuple[float, float]
 
     def only(self, chosen: NDArray[np.bool_]) -> Compared:
         """Those of them."""
@@ -112,6 +114,7 @@ class Compared(NamedTuple):
             self.span_variance[chosen],
             self.is_near[chosen],
             self.log_there[chosen],
+            self.within,
         )
 
 
@@ -319,40 +322,37 @@ class TrackEvidence:
         self._fade(bearing.t)
         mates, since = mates.only(counts), since[counts]
         j, first = mates.columns, ~np.isfinite(since)
-        rho, d = bearing.distance, bearing.direction
+        # All errors are compared at one distance, the box's; but nobody is nearer or farther than all say.
+        rho, d = float(np.clip(bearing.distance, *mates.within)), bearing.direction
         white = bearing.variance * rho**2 + mates.deviation.white
-        # What lasts of the own attitude's error is in the white error of a place that is reported.
         deviation = mates.deviation._replace(
-            sigma=np.where(
-                mates.deviation.sigma > 0.0,
-                np.hypot(mates.deviation.sigma, ATTITUDE_LASTING_SIGMA_RAD * rho),
-                0.0,
-            ),
-            white=white,
+            sigma=np.hypot(mates.deviation.sigma, ATTITUDE_LASTING_SIGMA_RAD * rho), white=white
         )
         G = design(mates.place, own_way)
         along = d @ G
         across = G - d[:, None] * along[:, None]
         moved = np.where(first[:, None], 0.0, bearing.camera - self._camera_at[j])
+        current = [segment for segment in self.segments if bearing.t >= segment.since]
+        innovations = [
+            segment.deviation.innovations(j, across, d, bearing.t, deviation) for segment in current
+        ]
         stranger = self.strangers.predict_and_update(
             j,
             d,
             dt=np.where(first, 0.0, since),
             parallax=-(moved - (moved @ d)[:, None] * d) / rho,
             variance=white / rho**2,
+            least=innovations[0][1] / rho**2,
             distance=np.full(len(j), rho),
         )
-        for segment in self.segments:
-            if bearing.t < segment.since:
-                continue
-            left, S = segment.deviation.innovations(j, across, d, bearing.t, deviation)
+        for segment, (left, S) in zip(current, innovations, strict=True):
             said = np.zeros((len(j), _WIDTH))
             said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
             said[:, _LOG] = mates.log_there + 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
             said[:, _STRANGER] = stranger
             segment.sum[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
-        self._add_size(mates, along, rho)
+        self._add_size(mates, along, bearing.distance)
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
 
@@ -365,6 +365,7 @@ class TrackEvidence:
             dt=np.zeros(1),
             parallax=np.zeros((1, 3)),
             variance=np.array([bearing.variance]),
+            least=np.zeros(1),
             distance=np.array([bearing.distance]),
         )
         self.segments[0].sum[column, _LOG] += log_density
@@ -395,6 +396,8 @@ class TrackEvidence:
         weight = np.exp(-0.5 * steps**2 / variance)
         log = np.log(weight / np.nansum(weight, axis=0))
         log += math.log(STRANGER_DISTANCE_RANGE_LN / (DISTANCE_SHARE * math.sqrt(2.0 * math.pi)))
+        # The first bearing was compared with a place across it, at one distance for all.
+        log += 2.0 * np.log(np.clip(distance, *mates.within) / np.clip(rho, *mates.within))
         self.size[:, j] = np.nan_to_num(size)
         self.size_log[:, j] = np.where(np.isnan(steps), -np.inf, log)
         self._sized[j] = True

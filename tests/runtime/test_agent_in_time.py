@@ -137,7 +137,9 @@ def test_a_picture_is_sent_ten_times_a_second_while_somebody_listens(tmp_path):
 
 def test_who_is_seen_as_whom_is_told_once_a_second_and_at_once_when_it_changed(tmp_path):
     flight = SimulatedFlight(tmp_path)
-    somewhere = Announcement(2, "0000000b", 1, BEGIN, 0.01, np.array([9.0, 0.0, 0.0]), np.eye(3), np.eye(3))
+    # As far away as its box looks.
+    place = np.array([50.0, 0.0, 0.0])
+    somewhere = Announcement(2, "0000000b", 1, BEGIN, 0.01, place, np.eye(3), np.eye(3))
     flight.at(5.45, flight.parts.door.tell, somewhere)
     flight.fly(9.0)
     times = np.array(flight.times(Kind.IDENTITIES))

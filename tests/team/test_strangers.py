@@ -21,6 +21,7 @@ def densities(directions, columns=1):
                 dt=STEP_S * ones * (k > 0),
                 parallax=np.zeros((columns, 3)),
                 variance=VARIANCE * ones,
+                least=0.0 * ones,
                 distance=DISTANCE * ones,
             )
             for k, d in enumerate(directions)
@@ -67,6 +68,7 @@ def test_filters_turn_along():
             dt=STEP_S * one * (k > 0),
             parallax=np.zeros((1, 3)),
             variance=VARIANCE * one,
+            least=0.0 * one,
             distance=DISTANCE * one,
         )
 

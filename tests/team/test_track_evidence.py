@@ -6,21 +6,27 @@ import numpy as np
 import pytest
 
 from swarmtrack.team.deviation import Deviation
-from swarmtrack.team.priors import BEARINGS_LAST_S, BOX_SPAN_SIGMA_LN, SEGMENTS_KEPT
+from swarmtrack.team.priors import (
+    BEARINGS_LAST_S,
+    BOX_SIZE_SIGMA_LN,
+    BOX_SPAN_SIGMA_LN,
+    DISTANCE_STEP_LN,
+    SEGMENTS_KEPT,
+)
 from swarmtrack.team.track_evidence import COLUMN_OF_NOBODY, Bearing, Compared, Past, TrackEvidence
 
 MATES = 3
 
 
-def add(track, t, chance, *, is_near=True):
+def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0):
     direction = np.array([1.0, *chance.normal(0.0, 0.05, 2)])
-    bearing = Bearing(t, np.zeros(3), np.zeros(2), direction / np.linalg.norm(direction), 1e-4, 8.0)
+    bearing = Bearing(t, np.zeros(3), np.zeros(2), direction / np.linalg.norm(direction), 1e-4, distance)
     places = np.tile([8.0, 0.0, 0.0], (MATES, 1)) + chance.normal(0.0, 0.3, (MATES, 3))
     ones = np.ones(MATES)
     deviation = Deviation(0.1 * ones, 0.5 * ones, 0.01 * ones)
     near = np.full(MATES, is_near)
     mates = Compared(
-        np.arange(MATES), places, deviation, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near, 0.0 * ones
+        np.arange(MATES), places, deviation, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near, 0.0 * ones, within
     )
     track.add(bearing, mates, np.zeros(3))
 
@@ -103,6 +109,25 @@ def test_a_box_says_how_far_its_drone_is():
     )
     # Farther is a smaller share than nearer by as much.
     assert says(anywhere, 20.0) - says(anywhere, 0.8) > 1.0
+
+
+def test_bearings_are_compared_at_distances_at_which_drones_are():
+    """However tiny a box is: what is far cannot jitter by so much, so all would be teammates but what is far."""
+    tiny, ordinary = TrackEvidence(MATES, 0), TrackEvidence(MATES, 0)
+    for track, distance in ((tiny, 40.0), (ordinary, 8.0)):
+        add(track, 0.0, np.random.default_rng(1), within=(8.0, 8.0), distance=distance)
+    found, expected = tiny.told(), ordinary.told()
+    assert pytest.approx(expected.M) == found.M
+    assert pytest.approx(expected.log) == found.log
+
+
+def test_a_density_of_bearings_is_by_the_distance_at_which_a_drone_is_supposed():
+    track = TrackEvidence(MATES, 0)
+    add(track, 0.0, np.random.default_rng(1), is_near=False)
+    variance = BOX_SPAN_SIGMA_LN**2 + BOX_SIZE_SIGMA_LN**2
+    by_size = -0.5 * DISTANCE_STEP_LN**2 / variance
+    more = track.told().size_log[[1, 3], 0] - track.told().size_log[0, 0]
+    assert more == pytest.approx([by_size + 2.0 * DISTANCE_STEP_LN, by_size - 2.0 * DISTANCE_STEP_LN])
 
 
 def test_only_so_many_segments_are_kept_the_likeliest_and_the_last():
