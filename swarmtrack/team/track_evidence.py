@@ -322,7 +322,7 @@ class TrackEvidence:
         self._fade(bearing.t)
         mates, since = mates.only(counts), since[counts]
         j, first = mates.columns, ~np.isfinite(since)
-        # All errors are compared at one distance, the box's; but nobody is nearer or farther than all say.
+        # All errors are compared at one distance, the box's, within those at which teammates are stated to be.
         rho, d = float(np.clip(bearing.distance, *mates.within)), bearing.direction
         white = bearing.variance * rho**2 + mates.deviation.white
         deviation = mates.deviation._replace(
