@@ -107,8 +107,8 @@ class TeamFormation(Section):
     )
     sure: Annotated[Number, Field(ge=0.9, lt=1.0)] = Field(
         default=0.998,
-        description="confidence that a reference's name needs for a second before it is used; above 0.997 only motion "
-        "confirms it, with [team] share",
+        description="confidence that a reference's name needs for a second before it is used; with several teammates, "
+        "only motion confirms a name above 0.997, with [team] share",
     )
     consent: Literal["mode", "mode and switch"] = Field(
         default="mode",

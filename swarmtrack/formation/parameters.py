@@ -67,8 +67,8 @@ class FormationParameters:
     clearance: float = 1.5
     """m: nobody is to come nearer than this."""
     sure: float = 0.998
-    """Of a reference's name, for a second, before it is flown by. By places alone no name is surer than 0.997: more
-    means that motion has shown it, so that swapped pads lead nobody astray."""
+    """Of a reference's name, for a second, before it is flown by. By places alone no name of several is surer than
+    0.997: more means that motion has shown it, so that swapped pads lead nobody astray."""
 
     def __post_init__(self) -> None:
         for drone in (self.drone_id, self.leader, *self.references):

@@ -10,6 +10,7 @@ slowly than a gyro's bias is not told from one that stands.
 from __future__ import annotations
 
 import math
+from statistics import fmean
 
 import numpy as np
 
@@ -24,17 +25,21 @@ from swarmtrack.motion.priors import (
 
 
 class HeadingAtRest:
-    """Takes the gyro's samples on the ground, and all poses."""
+    """Takes the gyro's samples on the ground, and all poses. A heading counts once the samples around it are known to
+    be of a drone at rest."""
 
     def __init__(self) -> None:
         self.found = 0
         self._is_still = False
-        self._window_t = math.inf
+        self._window_t = -math.inf
         """When the window of gyro samples began, s."""
         self._samples: list[Array] = []
+        self._waiting: list[float] = []
+        """Headings within the window, rad."""
         self._anchor: float | None = None
         """The heading that the rays have now, rad."""
-        self._beyond: list[float] = []
+        self._headings: list[float] = []
+        """Since it was compared last, rad."""
 
     @property
     def counters(self) -> dict[str, int]:
@@ -51,24 +56,35 @@ class HeadingAtRest:
     def _judge(self) -> None:
         """Did the drone turn within the window?"""
         rates, self._samples = np.array(self._samples), []
+        headings, self._waiting = self._waiting, []
         self._is_still = len(rates) > 1 and bool(
             rates.std(axis=0).max() < REST_GYRO_SIGMA_RAD_S
             and np.abs(rates.mean(axis=0)).max() < HEADING_GYRO_BIAS_RAD_S
         )
+        if not self._is_still:
+            self._anchor, self._headings = None, []
+        else:
+            self._headings += headings
 
     def add_pose(self, pose: EgoPose, *, is_on_ground: bool) -> list[float] | None:
         """Add an attitude. Returns by how much the heading has changed and the drone has not [rad], clockwise from
         above, if at all; None for a drone that may have turned."""
-        if not (is_on_ground and self._is_still):
-            self._anchor, self._beyond = None, []
+        if not is_on_ground or pose.t - self._window_t > 2.0 * REST_WINDOW_S:
+            # It flies, or the gyro is silent.
+            self._samples = []
+            self._judge()
             return None
-        heading = math.atan2(float(pose.world_from_body[1, 0]), float(pose.world_from_body[0, 0]))
-        if self._anchor is None:
-            self._anchor = heading
-        self._beyond.append(math.remainder(heading - self._anchor, 2.0 * math.pi))
-        if len(self._beyond) < REST_HEADING_ATTITUDES:
+        self._waiting.append(math.atan2(float(pose.world_from_body[1, 0]), float(pose.world_from_body[0, 0])))
+        if not self._is_still:
+            return None
+        if len(self._headings) < REST_HEADING_ATTITUDES:
             return []
-        step, self._beyond = float(np.mean(self._beyond)), []
+        anchor = self._headings[0] if self._anchor is None else self._anchor
+        off = [math.remainder(heading - anchor, 2.0 * math.pi) for heading in self._headings]
+        step, self._headings = fmean(off), []
+        if self._anchor is None:
+            self._anchor = anchor + step
+            return []
         if abs(step) < REST_HEADING_STEP_RAD:
             return []
         self.found += 1

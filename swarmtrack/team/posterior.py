@@ -373,7 +373,7 @@ class TeamPosterior:
         if before is None or not (scan.t_sigma or scan.origin_sigma):
             return deviation
         late = scan.t_sigma * float(np.linalg.norm(scan.origin - before.origin)) / (scan.t - before.t)
-        late = math.hypot(late, scan.origin_sigma) if scan.origin_sigma else late
+        late = math.hypot(late, scan.origin_sigma)
         # A walk of reported places is too slow for it.
         lasts = deviation.bandwidth > REPORTED_DEVIATION[1]
         return deviation._replace(

@@ -323,7 +323,8 @@ class TrackEvidence:
         mates, since = mates.only(counts), since[counts]
         j, first = mates.columns, ~np.isfinite(since)
         # All errors are compared at one distance, the box's, within those at which teammates are stated to be.
-        rho, d = float(np.clip(bearing.distance, *mates.within)), bearing.direction
+        least, most = mates.within
+        rho, d = min(max(bearing.distance, least), most), bearing.direction
         white = bearing.variance * rho**2 + mates.deviation.white
         deviation = mates.deviation._replace(
             sigma=np.hypot(mates.deviation.sigma, ATTITUDE_LASTING_SIGMA_RAD * rho), white=white
@@ -352,7 +353,7 @@ class TrackEvidence:
             said[:, _STRANGER] = stranger
             segment.sum[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
-        self._add_size(mates, along, bearing.distance)
+        self._add_size(mates, along, bearing.distance, compared_at=rho)
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
 
@@ -378,7 +379,7 @@ class TrackEvidence:
         for segment in self.segments:
             segment.sum[columns, _LOG] -= log_ratio
 
-    def _add_size(self, mates: Compared, along: Array, rho: float) -> None:
+    def _add_size(self, mates: Compared, along: Array, rho: float, *, compared_at: float) -> None:
         """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.
         The error is one of the distance's logarithm: a mixture of Gaussians of the distance."""
         fresh = ~self._sized[mates.columns]
@@ -396,8 +397,8 @@ class TrackEvidence:
         weight = np.exp(-0.5 * steps**2 / variance)
         log = np.log(weight / np.nansum(weight, axis=0))
         log += math.log(STRANGER_DISTANCE_RANGE_LN / (DISTANCE_SHARE * math.sqrt(2.0 * math.pi)))
-        # The first bearing was compared with a place across it, at one distance for all.
-        log += 2.0 * np.log(np.clip(distance, *mates.within) / np.clip(rho, *mates.within))
+        # The first bearing's density, per sr, was worked out at one distance for all.
+        log += 2.0 * np.log(np.clip(distance, *mates.within) / compared_at)
         self.size[:, j] = np.nan_to_num(size)
         self.size_log[:, j] = np.where(np.isnan(steps), -np.inf, log)
         self._sized[j] = True

@@ -13,13 +13,14 @@ from swarmtrack.motion.priors import REST_HEADING_STEP_RAD
 NOISE_RAD = 0.005
 
 
-def flown(heading, rate, *, seconds=40.0, is_on_ground=True, scatter=0.003):
+def flown(heading, rate, *, seconds=40.0, is_on_ground=True, scatter=0.003, gyro_until=math.inf):
     """Sum of the steps, and how many there were; heading(t) [rad] by the autopilot, rate(t) [rad/s] by the gyro."""
     chance, at_rest, steps = np.random.default_rng(1), HeadingAtRest(), []
     for k in range(round(200 * seconds)):
         t = k / 200.0
         gyro = np.array([0.0, 0.0, rate(t)]) + scatter * chance.standard_normal(3)
-        at_rest.add_gyro(ImuSample(t, gyro, np.full(3, math.nan)))
+        if t < gyro_until:
+            at_rest.add_gyro(ImuSample(t, gyro, np.full(3, math.nan)))
         if k % 4 == 0:
             turned = rotation.from_euler(0.0, 0.0, heading(t) + NOISE_RAD * chance.standard_normal())
             pose = EgoPose(t, np.zeros(3), turned, 0.02, NOISE_RAD)
@@ -51,6 +52,16 @@ def test_a_drone_that_is_turned_turns():
         return math.radians(10.0) * t
 
     assert flown(turn, lambda t: math.radians(10.0)) == (0.0, 0)
+
+
+@pytest.mark.parametrize("degrees", [3.0, 20.0, 90.0])
+def test_a_drone_that_stood_before_it_is_turned_turns(degrees):
+    rate = math.radians(degrees)
+    assert flown(lambda t: rate * max(t - 20.0, 0.0), lambda t: rate * (t > 20.0)) == (0.0, 0)
+
+
+def test_without_a_gyro_nobody_knows_that_it_stands():
+    assert flown(lambda t: 0.1 * (t > 20.0), still, gyro_until=19.0) == (0.0, 0)
 
 
 def test_vibrating_motors_are_no_rest():

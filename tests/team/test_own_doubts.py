@@ -76,5 +76,5 @@ def test_places_alone_make_no_name_as_sure_as_a_formation_needs(teammates):
         for drone, pixel in pixels.items():
             observer.is_told(drone, pixel)
         observer.sees(1.0, **{chr(95 + drone): pixel for drone, pixel in pixels.items()})
-    stated = [entry.identity_probability for entry in observer.identities.label(observer.tracks)]
-    assert 0.95 < min(stated) <= max(stated) < 0.997 < FORMATION_NEEDS
+        stated = [entry.identity_probability for entry in observer.identities.label(observer.tracks)]
+        assert 0.95 < min(stated) <= max(stated) < 0.997 < FORMATION_NEEDS

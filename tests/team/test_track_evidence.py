@@ -112,7 +112,7 @@ def test_a_box_says_how_far_its_drone_is():
 
 
 def test_bearings_are_compared_at_distances_at_which_drones_are():
-    """However tiny a box is: what is far cannot jitter by so much, so all would be teammates but what is far."""
+    """However tiny a box is: else the same jitter would be more metres for a stranger than for a teammate."""
     tiny, ordinary = TrackEvidence(MATES, 0), TrackEvidence(MATES, 0)
     for track, distance in ((tiny, 40.0), (ordinary, 8.0)):
         add(track, 0.0, np.random.default_rng(1), within=(8.0, 8.0), distance=distance)
