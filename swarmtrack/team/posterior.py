@@ -168,8 +168,12 @@ class TeamPosterior:
         self._agreed[motion.drone_id].append(motion)
 
     def expel(self, drone_id: int) -> None:
-        """No track is this drone any more."""
+        """No track has this drone's name any more. Whatever was it still is, and hence is no other teammate."""
         gone = self.teammates.pop(drone_id)
+        for id, named in self.named.items():
+            others = [mate.column for mate in self.teammates.values()]
+            was_gone = math.log1p(named.p.get(drone_id, 0.0) / max(named.p_none, 1e-9))
+            self._tracks[id].hold_back(others, min(was_gone, CARRIED_MOST))
         for mate in self.teammates.values():
             mate.column -= mate.column > gone.column
         for track in self._tracks.values():

@@ -62,3 +62,13 @@ def test_agreed_motions_are_all_kept_whoever_speaks_as_the_drone_and_whenever(po
     assert mate.at(25.0)[0].tolist() == [10.0, 0.0, 0.0]
     assert mate.has_said(25.0)
     assert not mate.has_said(15.0)
+
+
+def test_a_track_whose_name_is_withheld_is_no_other_teammate(posterior):
+    posterior.announce(announcement(2, AHEAD))
+    posterior.announce(announcement(3, np.array([0.0, 8.0, 0.0])))
+    see(posterior, 2.0)
+    assert posterior.named[1].p[2] > 0.9
+    posterior.expel(2)
+    see(posterior, 4.0, begin=2.0)
+    assert posterior.named[1].p[3] < 0.05
