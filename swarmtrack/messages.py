@@ -366,6 +366,13 @@ class HeadingNews(NamedTuple):
     doubt: float = 0.0
 
 
+class LeapNews(NamedTuple):
+    """At t [s] the autopilot's position jumped by off_m [m], which nobody flew: the drone goes on from where it was."""
+
+    t: float
+    off_m: float
+
+
 class OwnFault(NamedTuple):
     """The likeliest fault of this drone's own pose; what is not at fault is None.
 

@@ -44,6 +44,7 @@ from swarmtrack.messages import (
     IdentifiedTrack,
     ImuSample,
     Input,
+    LeapNews,
     MotionReport,
     PeerArrived,
     PeerDeparted,
@@ -96,6 +97,7 @@ Output = (
     | Disagreement
     | PoseWanted
     | HeadingNews
+    | LeapNews
     | GroundHeightNews
     | DoubtNews
     | Astray
@@ -207,11 +209,13 @@ class Onboard:
                 self.gyro.add_visual_turn(event)
                 self._settle()
             case EgoPose():
-                self._ego.append(event)
+                leap = self._ego.append(event)
                 self._flight.add_pose(event)
                 if self.self_doubt:
                     # Where its place goes on from it is not, it seems: what is left is its autopilot's word.
                     self._ego.believe_leaps()
+                elif leap is not None:
+                    self._events.append(leap)
                 attitude = event.world_from_body @ self._first.body_from_camera.rotation
                 self._bias.add_attitude(event.t, attitude, event.attitude_sigma)
                 self._watch_heading(event)

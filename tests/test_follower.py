@@ -14,7 +14,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Detections, EgoPose, IdClash, ImuSample, PeerDeparted
+from swarmtrack.messages import Detections, EgoPose, IdClash, ImuSample, LeapNews, PeerDeparted
 from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
@@ -109,9 +109,11 @@ def test_whose_own_place_leaps_goes_on_from_where_it_was_unless_it_doubts_that(d
     for k in range(1, 11):
         drone.tell(EgoPose(t + 0.02 * k, np.array([t + 0.02 * k, 10.0, 0.0]), np.eye(3)))
     own = drone.own_flight(t + 0.2)
+    said = [event.off_m for event in drone.events() if isinstance(event, LeapNews)]
+    assert said == ([] if doubts else [pytest.approx(10.0)])
     assert own.position == pytest.approx((t + 0.2, 10.0 if doubts else 0.0, 0.0), abs=0.05)
     assert own.velocity == pytest.approx((1.0, 0.0, 0.0), abs=0.05)
-    assert own.leap_age == pytest.approx(0.18)
+    assert own.leap_age == (pytest.approx(0.18) if doubts else math.inf)
 
 
 def test_the_same_picture_again_and_again_is_none():

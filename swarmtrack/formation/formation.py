@@ -48,7 +48,7 @@ from swarmtrack.formation.margins import (
     ESCAPE_GAIN_PER_S,
     FARTHEST_SEEN_M,
     FASTEST_OWN_SPEED_M_S,
-    HEADING_OR_LEAP_SETTLES_S,
+    HEADING_SETTLES_S,
     HEIGHT_CORRECTED_SIGMAS,
     HEIGHT_GAIN_PER_S,
     LATE_INPUT_LASTS_S,
@@ -77,7 +77,7 @@ from swarmtrack.messages import IdentifiedTrack, RelativeState, TrackStatus
 LATE_INPUTS = (Why.OWN_POSE, Why.VAGUE, Why.GYRO, Why.CAMERA)
 
 # Where one of these holds it, what the autopilot says of its velocity is not how it flies.
-MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING, Why.LEAP)
+MOVES_UNKNOWN = (Why.OWN_POSE, Why.VAGUE, Why.CLOCK, Why.HEADING)
 
 HOLD_TEXTS = {
     Why.OWN_POSE: "own position is old",
@@ -88,7 +88,6 @@ HOLD_TEXTS = {
     Why.CLASH: "another process uses this drone's ID",
     Why.DOUBT: "own start or heading seems wrong",
     Why.HEADING: "heading has stepped",
-    Why.LEAP: "own position has jumped",
     Why.CLOCK: "autopilot's clock is unknown",
     Why.HEIGHT_DOUBT: "own height seems wrong",
     Why.DIVERGES: "does not fly as commanded",
@@ -550,8 +549,7 @@ def _forbidden(own: OwnFlight, cameras: Sequence[int], *, height_known: bool) ->
         (not own.gyro_age <= OLDEST_GYRO_S, Why.GYRO),
         (not own.clock_known, Why.CLOCK),
         (own.clash, Why.CLASH),
-        (not own.heading_step_age >= HEADING_OR_LEAP_SETTLES_S, Why.HEADING),
-        (not own.leap_age >= HEADING_OR_LEAP_SETTLES_S, Why.LEAP),
+        (not own.heading_step_age >= HEADING_SETTLES_S, Why.HEADING),
         (own.doubted, Why.DOUBT),
         (not any(_is_new(own.scan_ages[camera]) for camera in cameras), Why.CAMERA),
         (not height_known, Why.HEIGHT_VAGUE),

@@ -42,8 +42,8 @@ OLDEST_POSE_S, OLDEST_GYRO_S, OLDEST_SCAN_S = 0.2, 0.3, 1.0
 # Of a place that is known worse the fence means nothing; and a height that is known worse keeps nobody apart from who
 # flies beside it: the height above a reference counts then, as measured.
 VAGUEST_OWN_PLACE_M, VAGUEST_OWN_HEIGHT_M = 5.0, 1.0
-# So long after its heading stepped, or its place leapt, a drone does not fly by it.
-HEADING_OR_LEAP_SETTLES_S = 3.0
+# So long after its heading stepped a drone does not fly by it.
+HEADING_SETTLES_S = 3.0
 # What a busy computer or link delays for a moment: only where it lasts so long it costs the references their trust.
 LATE_INPUT_LASTS_S = 0.5
 # Who seems to be beyond could not be seen.

@@ -78,7 +78,7 @@ class OwnFlightRecord:
             gyro_age=math.inf if gyro is None else now - gyro,
             scan_ages=scan_ages,
             heading_step_age=now - self._heading_stepped_at,
-            leap_age=now - self._ego.leapt_at,
+            leap_age=now - self._ego.leaps_believed_at,
             clash=clash,
             doubted=doubted,
             sways=self._sway(now),

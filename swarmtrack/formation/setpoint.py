@@ -30,7 +30,6 @@ class Why(enum.StrEnum):
     CLASH = "clash"
     DOUBT = "doubt"
     HEADING = "heading"
-    LEAP = "leap"  # the own position has jumped
     HEIGHT_DOUBT = "height_doubt"  # the own height drifts, or that of who is followed
     DIVERGES = "diverges"  # it flies otherwise than it was told
     CLOCK = "clock"
@@ -59,8 +58,8 @@ class OwnFlight:
 
     position [m] and velocity [m/s] in the team frame; position_sigma [m], level, and height_sigma [m]; heading [rad]:
     where its camera looks, clockwise from north. Ages [s]: of the newest pose, of the newest gyro sample, by camera of
-    the exposure of its newest scan that showed anything new, since the heading last stepped and since the place last
-    leapt; inf where there was none.
+    the exposure of its newest scan that showed anything new, since the heading last stepped and since `position` last
+    followed a leap; inf where there was none.
     clash: another process uses this drone's ID; doubted: what it sees tells that its own start or heading is wrong;
     clock_known: the autopilot's clock is mapped. sways: as its code has it. ground [m]: what is below it, by the last
     measurement of its range finder; None where there is none, or none of the last second. height_sights: of the last

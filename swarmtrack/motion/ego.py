@@ -12,7 +12,7 @@ import numpy as np
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.covariance import worst_sigma
 from swarmtrack.geometry.pose import Pose
-from swarmtrack.messages import Array, EgoPose, FlightState, MotionReport
+from swarmtrack.messages import Array, EgoPose, FlightState, LeapNews, MotionReport
 from swarmtrack.motion.carried_place import CarriedPlace
 from swarmtrack.motion.heading import HeadingKnowledge, HeadingSigma
 from swarmtrack.motion.leap import has_leapt
@@ -158,8 +158,8 @@ class EgoHistory:
         self.out_of_order = 0
         self.without_position = 0
         self.heading_jumps = self.place_leaps = 0
-        self.leapt_at = -math.inf
-        """When the place last leapt, s."""
+        self.leaps_believed_at = -math.inf
+        """When the place was last moved by leaps that were believed, s."""
         self.leapt = np.zeros(3)
         """(3,) m, team frame: by so much the drone is elsewhere if its autopilot's leaps were right."""
         self._turn: Array | None = None
@@ -212,17 +212,18 @@ class EgoHistory:
         """(3, 3): from the axes of the autopilot's local frame to the team's: a turn about the vertical."""
         return _EYE if self._turn is None else self._turn
 
-    def append(self, pose: EgoPose) -> None:
-        """Add a pose in the autopilot's frame. One that is older than the history is dropped and counted."""
+    def append(self, pose: EgoPose) -> LeapNews | None:
+        """Add a pose in the autopilot's frame. One that is older than the history is dropped and counted. Returns the
+        leap that was taken off, if any."""
         if self._poses and pose.t <= self._poses[-1].t - self.history_s:
             self.out_of_order += 1
-            return
+            return None
         self.heading.add_pose(pose)
-        turn = self._connect_heading(pose)
+        turn, leapt = self._connect_heading(pose), self.leapt
         place = self._place(pose)
         if place is None:
             self.without_position += 1
-            return
+            return None
         position, cov = place
         tilt, heading = pose.attitude_sigma**2, self.heading.sigma(pose.t) ** 2
         turned = turn @ pose.world_from_body
@@ -237,6 +238,8 @@ class EgoHistory:
             self._placed, self._lost_velocity = placed, None
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
             del self._poses[0]
+        leap = float(np.linalg.norm(self.leapt - leapt))
+        return LeapNews(pose.t, leap) if leap else None
 
     def fly(self, state: FlightState) -> None:
         """Set whether the drone flies, from its autopilot."""
@@ -256,6 +259,7 @@ class EgoHistory:
         by, self.leapt = self.leapt, np.zeros(3)
         if not by.any():
             return
+        self.leaps_believed_at = self._poses[-1].t if self._poses else -math.inf
         self._poses = [pose.moved(by) for pose in self._poses]
         if self._placed is not None:
             self._placed = self._placed.moved(by)
@@ -469,7 +473,7 @@ class EgoHistory:
         leap = self._leap(pose.t, position)
         if leap is not None:
             self._shift, position = self._shift - leap, position - leap
-            self.leapt, self.leapt_at = self.leapt + leap, pose.t
+            self.leapt = self.leapt + leap
             self.place_leaps += 1
         vertical = pose.position_sigma if pose.vertical_sigma is None else pose.vertical_sigma
         level = pose.position_sigma**2

@@ -23,6 +23,7 @@ from swarmtrack.messages import (
     DoubtNews,
     HeadingNews,
     IdClash,
+    LeapNews,
     MotionReport,
     OwnFault,
     PeerArrived,
@@ -46,6 +47,7 @@ COMPASS_INITIALS = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
 News = (
     PeerEvent
     | HeadingNews
+    | LeapNews
     | GroundHeightNews
     | Astray
     | FrameNews
@@ -110,6 +112,11 @@ def describe(news: News) -> str:
     match news:
         case HeadingNews():
             return _describe_heading(news)
+        case LeapNews():
+            return (
+                f"our autopilot's position jumped by {news.off_m:.1f} m, which was not flown: "
+                "we go on from where we were"
+            )
         case GroundHeightNews():
             side = "above" if news.above_m > 0.0 else "below"
             return (

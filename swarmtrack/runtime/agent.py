@@ -29,6 +29,7 @@ from swarmtrack.messages import (
     HeadingNews,
     ImuSample,
     Input,
+    LeapNews,
     PoseWanted,
     RemoteIdClaim,
     ScanReport,
@@ -363,6 +364,8 @@ class Agent:
                     self._team.on_range_news(event)
                 case HeadingNews():
                     self._team.on_heading(event)
+                case LeapNews():
+                    self._team.on_leap(event)
                 case GroundHeightNews():
                     self._team.on_ground_height(event)
                 case DoubtNews():

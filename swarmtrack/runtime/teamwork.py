@@ -27,6 +27,7 @@ from swarmtrack.messages import (
     HeadingNews,
     IdClash,
     Input,
+    LeapNews,
     MotionReport,
     PeerArrived,
     PeerDeparted,
@@ -296,6 +297,10 @@ class Teamwork:
             self._note(self._drone_id, describe(news), level)
         if self._announced:
             self._asked.set()
+
+    def on_leap(self, news: LeapNews) -> None:
+        """Our autopilot's position has jumped."""
+        self._note(self._drone_id, describe(news), logging.WARNING)
 
     def on_ground_height(self, news: GroundHeightNews) -> None:
         """A teammate's height is not one of our field, although we stand on the ground."""

@@ -159,13 +159,12 @@ def test_a_clock_that_is_hours_off_costs_the_time_on_the_way_and_no_more(victim)
     assert CLOCK_OFF_S == 7200.0
 
 
-@pytest.mark.long("22 s of flight; formation/test_formation.py holds at leaps in the default run")
-def test_a_glitch_is_a_leap_of_the_own_place_and_back_and_its_drone_holds():
+@pytest.mark.long("22 s of flight; test_follower.py has leaps in the default run")
+def test_a_glitch_is_a_leap_of_the_own_place_and_back_and_its_drone_follows_on():
     # The filter resists for ten seconds, and for ten more after its end.
     flight = Told(Fault.GLITCH, 2, begins_s=-5.0, lasts_s=0.5, ends_s=17.0)
-    whys = {round(sample.t, 1): sample.whys[0] for sample in flight.run()}
-    assert whys[4.8] is not Why.LEAP
-    assert {whys[t] for t in (5.3, 5.8, 6.3, 7.8, 15.8, 16.8)} == {Why.LEAP}
+    whys = [sample.whys[0] for sample in flight.run() if sample.t > 4.5]
+    assert set(whys) == {Why.FOLLOW}
     poses = [event for _, event in flight.heard[2] if isinstance(event, EgoPose)]
     leaps = [
         (b.t, np.linalg.norm(b.position - a.position))
@@ -178,7 +177,9 @@ def test_a_glitch_is_a_leap_of_the_own_place_and_back_and_its_drone_holds():
 
 def test_a_glitch_that_is_shorter_than_a_filter_resists_changes_nothing():
     flight = Told(Fault.GLITCH, 2, begins_s=-5.0, lasts_s=-2.0, ends_s=7.0)
-    assert Why.LEAP not in {why for sample in flight.run() for why in sample.whys}
+    flight.run()
+    places = np.array([event.position for _, event in flight.heard[2] if isinstance(event, EgoPose)])
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 0.2
 
 
 @pytest.mark.long("35 s of flight; runtime/test_px4_failsafe.py has failsafes in the default run")

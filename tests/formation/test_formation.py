@@ -223,7 +223,6 @@ def test_a_name_that_leaps_to_another_place_is_not_flown_after(flying):
         ({"clash": True}, Why.CLASH),
         ({"doubted": True}, Why.DOUBT),
         ({"heading_step_age": 0.5}, Why.HEADING),
-        ({"leap_age": 0.5}, Why.LEAP),
         ({"clock_known": False}, Why.CLOCK),
     ],
 )

@@ -19,6 +19,7 @@ from swarmtrack.messages import (
     EgoPose,
     HeadingNews,
     IdClash,
+    LeapNews,
     MotionReport,
     OwnFault,
     PeerArrived,
@@ -223,6 +224,14 @@ def test_a_radio_that_does_not_fit_is_said_in_one_line(parts, distance, line):
     team = make_teamwork(parts, health, make_notices(parts), parts.door.tell)
     team.on_range_news(RangeNews(5.0, 2, distance))
     assert list(health.events) == [line]
+
+
+def test_a_position_that_jumped_is_said_in_one_line(parts):
+    health = make_health(parts)
+    make_teamwork(parts, health, make_notices(parts), parts.door.tell).on_leap(LeapNews(5.0, 10.02))
+    assert list(health.events) == [
+        "our autopilot's position jumped by 10.0 m, which was not flown: we go on from where we were"
+    ]
 
 
 def test_distances_are_told_to_onboard_without_a_line(parts):
