@@ -76,13 +76,14 @@ class Bearing(NamedTuple):
 @dataclass(slots=True)
 class TrackSegment:
     """since [s]; sum (n, …): of the bearings since then; deviation: of the teammates; log_handover: log prior that it
-    began there; past: of all that was before, None for the first."""
+    began there; past: of all that was before, None for the first, as it was at past_t [s]."""
 
     since: float
     sum: Array
     deviation: DeviationFilters
     log_handover: float = 0.0
     past: Past | None = None
+    past_t: float = -math.inf
     weight: float = 0.0
 
 
@@ -435,7 +436,12 @@ class TrackEvidence:
             del self.segments[min(range(1, len(self.segments)), key=lambda s: self.segments[s].weight)]
         self.segments.append(
             TrackSegment(
-                t, np.zeros((self.n, _WIDTH)), DeviationFilters(self.n), log_handover, Past.unknown(log)
+                t,
+                np.zeros((self.n, _WIDTH)),
+                DeviationFilters(self.n),
+                log_handover,
+                Past.unknown(log),
+                self.t,
             )
         )
 
@@ -450,6 +456,7 @@ class TrackEvidence:
         assert newest.past is not None
         for every, value in zip(newest.past, past, strict=True):
             every[used] = value
+        newest.past_t = self.t
         return past._replace(
             log=newest.log_handover + past.log, log_other=newest.log_handover + past.log_other
         )
@@ -474,7 +481,7 @@ class TrackEvidence:
         found = []
         for segment in self.segments:
             log, column, other = segment.past or Past.unknown(np.zeros(k))
-            faded = 0.0 if segment.past is None else fading(max(self.t - segment.since, 0.0))
+            faded = 0.0 if segment.past is None else fading(self.t - segment.past_t)
             found.append(
                 Past(segment.log_handover + faded * log, column, segment.log_handover + faded * other)
             )

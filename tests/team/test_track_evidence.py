@@ -70,6 +70,14 @@ def test_a_segment_waits_for_its_first_bearing_and_what_comes_until_then_is_of_b
     assert not track.waits
 
 
+def test_what_was_before_a_segment_fades_as_the_rest_does():
+    """From the last bearing on, however long before the segment that was."""
+    track = flown([0.0, 0.5, 1.0])
+    track.begin_segment(4.0, -5.0, np.full(4, 80.0))
+    add(track, 4.5, np.random.default_rng(45))
+    assert track.pasts(4).log[1] == pytest.approx(80.0 * math.exp(-3.5 / BEARINGS_LAST_S) - 5.0)
+
+
 def test_what_is_said_of_a_teammate_is_carried_into_another_frame_as_one_number():
     track = flown([0.0, 0.5, 1.0, 1.5], begin=1.2)
     others = track.told().M[0][[0, 2]]
