@@ -67,6 +67,7 @@ FAULTS = (
     ("leaders-gps-glitch", Failure(fault=Fault.GLITCH, victim=LEADER, ends_s=34.0)),
     ("failsafe-rtl", Failure(fault=Fault.RETURNS, victim=VICTIM)),
     ("failsafe-land", Failure(fault=Fault.LANDS, victim=VICTIM)),
+    ("leader-denied", Failure(fault=Fault.DENIED, victim=LEADER)),
     ("carried-follower", Failure(fault=Fault.FED, victim=VICTIM, ends_s=80.0)),
     ("drift-height-0.1", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.1)),
     ("drift-height-0.3", Failure(fault=Fault.HEIGHT_DRIFT, victim=VICTIM, speed_m_s=0.3)),

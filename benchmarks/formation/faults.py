@@ -62,6 +62,7 @@ class Fault(enum.Enum):
     GLITCH = "its receiver's position leaps by ten metres, and back"
     RETURNS = "its autopilot returns to the start by a failsafe, and its pilot lets it"
     LANDS = "its autopilot has no position, tells none, and lands where it is"
+    DENIED = "its autopilot has no position, tells none, and its pilot flies on by hand"
     FED = "its autopilot has no position, and is fed ours over its link"
     HEIGHT_DRIFT = "its autopilot believes that it climbs, and flies by that"
     PUSHED = "it flies otherwise than its autopilot is told, level"
@@ -223,7 +224,7 @@ class FailingSwarm(VirtualSwarm):
         drift = self.height_drift(drone_id, pose.t)
         if drift and pose.position is not None:
             pose = dataclasses.replace(pose, position=pose.position - (0.0, 0.0, drift))
-        if self._is(Fault.LANDS, pose.t, drone_id):
+        if self._is(Fault.LANDS, pose.t, drone_id) or self._is(Fault.DENIED, pose.t, drone_id):
             return dataclasses.replace(pose, position=None)
         failure = self.failure
         if failure is None or failure.fault is not Fault.GLITCH or failure.victim != drone_id:

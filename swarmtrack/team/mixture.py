@@ -55,7 +55,7 @@ from swarmtrack.team.priors import (
 )
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
-from swarmtrack.team.unheard import UnheardTrack
+from swarmtrack.team.unheard import UnheardTrack, by_chance
 
 
 class OwnKnowledge(NamedTuple):
@@ -166,8 +166,8 @@ class JointMixture:
         for i, past in pasts_from_now(waiting, pasts, each, worth).items():
             for rows, last in zip(pasts[i], tracks[i].begin_waiting_on(past, used), strict=True):
                 rows[-1] = last
-        for track, b, e in zip(tracks, base, each, strict=True):
-            self._hold_back(track, b, e, mates, used=used, t=t)
+        for i, b in enumerate(base):
+            self._hold_back(i, b, weighing)
         nobody, ratio = log_ratios(base, each)
         ratio = ratio.reshape(len(tracks), len(used), len(mates))
         log_w = log_w + sum(nobody, np.zeros(len(used)))
@@ -338,18 +338,10 @@ class JointMixture:
                 top = log_ratio.max(axis=0)
                 track.faint[columns] = np.where((top < LOG_PAIR_SLEEPS) & (top > -np.inf), top, np.nan)
 
-    def _hold_back(
-        self,
-        track: TrackEvidence,
-        base: Array,
-        each: Array,
-        mates: Sequence[Teammate],
-        *,
-        used: NDArray[np.intp],
-        t: float,
-    ) -> None:
+    def _hold_back(self, i: int, base: Array, weighing: _Weighing) -> None:
         """While the teammate that a track was says nothing, others explain it no better than chance would: in the log
-        ratios `each` (s, k, m), and in what the track remembers."""
+        ratios of track i, and in what it remembers. base (s, k): log evidence of all before each segment."""
+        track, each, mates, t = weighing.tracks[i], weighing.each[i], weighing.mates, weighing.t
         silent = next((mate for mate in mates if mate.drone_id == track.held and not mate.knows(t)), None)
         if silent is None:
             track.unheard = None
@@ -360,9 +352,24 @@ class JointMixture:
             return  # It was compared with nobody since.
         since = [segment.since for segment in track.segments]
         speak = np.array([mate.knows(t) for mate in mates])
-        more = track.unheard.held_back(t, since, base, each, used=used, speak=speak)
+        more = track.unheard.held_back(t, since, base, each, used=weighing.used, speak=speak)
         track.hold_back([mate.column for mate in mates], more)
         each -= more
+        for s, begun in enumerate(since):
+            if begun > track.unheard.since:
+                each[s] -= by_chance(self._moves_alike(i, s, weighing)) * speak
+
+    def _moves_alike(self, i: int, segment: int, weighing: _Weighing) -> float:
+        """Log ratio of the teammate whose motion explains a segment of track i best, wherever it started."""
+        track, told, found = weighing.tracks[i], weighing.told[i], -math.inf
+        used = self._likeliest(PROOF_COMPONENTS)
+        log_w = np.log(self.weight[used])
+        for mate in weighing.mates:
+            if mate.knows(weighing.t) and track.compared[mate.column]:
+                M, weight = told.by_motion(segment, mate.column)
+                R = self._motion_ratios(mate, M, used, weighing.known) + weight[:, None]
+                found = max(found, float(np.logaddexp.reduce(log_w + R, axis=None)))
+        return found + LOG_ANYWHERE
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
         """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""
@@ -427,23 +434,32 @@ class JointMixture:
         self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], known: OwnKnowledge
     ) -> Array:
         """Probability (n, m) of each track and teammate if all starts were unknown, by the likeliest components."""
-        likely = np.argsort(-self.weight)[:PROOF_COMPONENTS]
-        used = np.sort(likely[self.weight[likely] > 0.0])
+        used = self._likeliest(PROOF_COMPONENTS)
         R = np.full((len(used), len(tracks), len(mates)), -np.inf)
         told = [(track.told(), track.likeliest_segment) for track in tracks]
         for c, mate in enumerate(mates):
             cases = [one.by_motion(segment, mate.column) for one, segment in told]
-            M = np.concatenate([np.zeros((1, 8, 8)), *(M for M, _ in cases)])
-            marginal = Marginal(M, SOMEWHERE_SIGMA_M**2 * np.eye(3), np.unique(self.errors.spread[used]))
-            E = marginal.log_evidence(self._priors[mate.drone_id], self.errors, used, known.heading_sigma)
-            at = 1
+            E = self._motion_ratios(mate, np.concatenate([M for M, _ in cases]), used, known)
+            at = 0
             for i, (track, (_, weight)) in enumerate(zip(tracks, cases, strict=True)):
                 end = at + len(weight)
                 if track.compared[mate.column]:
-                    R[:, i, c] = log_sum(E[at:end] - E[0] + weight[:, None], 0)
+                    R[:, i, c] = log_sum(E[at:end] + weight[:, None], 0)
                 at = end
         w = self.weight[used] / float(self.weight[used].sum())
         return np.asarray(np.tensordot(w, match_all(R + self.log_seen + LOG_ANYWHERE).probability, axes=1))
+
+    def _motion_ratios(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
+        """(n, len(used)): log evidence of matrices M (n, 8, 8) over that of nothing, if all starts were unknown."""
+        cov, spreads = SOMEWHERE_SIGMA_M**2 * np.eye(3), np.unique(self.errors.spread[used])
+        marginal = Marginal(np.concatenate([np.zeros((1, 8, 8)), M]), cov, spreads)
+        E = marginal.log_evidence(self._priors[mate.drone_id], self.errors, used, known.heading_sigma)
+        return np.asarray(E[1:] - E[0])
+
+    def _likeliest(self, n: int) -> NDArray[np.intp]:
+        """Up to n components, in order of their indices."""
+        likely = np.argsort(-self.weight)[:n]
+        return np.sort(likely[self.weight[likely] > 0.0])
 
     # --- where they are ---
 

@@ -4,7 +4,8 @@ While a teammate is silent, its track is compared with all others and not with i
 in formation move alike, and there are hundreds of components by which to fit. So whatever is none of them, the silent
 teammate or a stranger, moves with probability `P_MOVES_ALIKE` as the best of their fits says. Then the others can gain
 no more by its silence than the logarithm of that, and what speaks against them counts as ever. A track that goes over
-to another while its teammate is silent is another matter: what begins after the silence is no fit of the whole.
+to another while its teammate is silent is another matter: what begins after the silence is no fit of the whole. Of that
+the motion alone may be by chance; that it is where the other says it is, is none.
 """
 
 from __future__ import annotations
@@ -19,6 +20,11 @@ from swarmtrack.messages import Array
 from swarmtrack.team.evidence import fading
 from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.priors import P_MOVES_ALIKE
+
+
+def by_chance(log_ratio: float) -> float:
+    """How much of a log ratio for another is owed to chance: all but the logarithm of `P_MOVES_ALIKE`."""
+    return max(float(np.logaddexp(math.log1p(-P_MOVES_ALIKE), math.log(P_MOVES_ALIKE) + log_ratio)), 0.0)
 
 
 class UnheardTrack:
@@ -62,7 +68,6 @@ class UnheardTrack:
         if self._is_new:
             self._before[used], self._is_new = np.maximum(ratio, 0.0), False
         most = float((ratio - self._before[used])[:, speak].max(initial=0.0))
-        due = np.logaddexp(math.log1p(-P_MOVES_ALIKE), math.log(P_MOVES_ALIKE) + most)
-        more = np.where(speak, np.maximum(due - self._held_back, 0.0), 0.0)
+        more = np.where(speak, np.maximum(by_chance(most) - self._held_back, 0.0), 0.0)
         self._held_back += more
         return np.asarray(more)
