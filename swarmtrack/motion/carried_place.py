@@ -52,6 +52,12 @@ class CarriedPlace:
         return np.asarray(place + self.density * abs(dt) ** 3 / 3.0 * np.eye(3))
 
     @property
+    def walk(self) -> float:
+        """m²/s per axis: by how much the variance of the own way grows with time. Each look takes the place aside by as
+        much as its velocity was off since the one before."""
+        return max(2.0 * float(np.trace(self.cov[:3, 3:])) / 3.0, 0.0)
+
+    @property
     def sigma_m(self) -> float:
         """m, of the worst axis, at t."""
         return worst_sigma(self.cov[:3, :3])

@@ -30,7 +30,8 @@ class NamedBox(NamedTuple):
 class TeamLook:
     """One scan, at t [s]. camera (3,) m and velocity (3,) m/s: of the own camera along the team's axes; keys: of n
     teammates drone and track; ray (n, 3) and ray_cov (n, 3, 3) in team axes, width (n,) rad without padding; NaN where
-    unknown. gain (n,): by how much more, as a share, that width is off than the whole box."""
+    unknown. gain (n,): by how much more, as a share, that width is off than the whole box. walk [m²/s] per axis: by how
+    much the variance of the own way since the last scan grows, of a drone that teammates carry."""
 
     t: float
     camera: Array
@@ -40,6 +41,7 @@ class TeamLook:
     ray_cov: Array
     width: Array
     gain: Array
+    walk: float = 0.0
 
     @classmethod
     def of(
@@ -51,6 +53,7 @@ class TeamLook:
         velocity: Array,
         *,
         padding_px: float = 0.0,
+        walk: float = 0.0,
     ) -> TeamLook:
         """boxes: of all named tracks, detected or not; padding_px: of their width and height is no drone."""
         z = np.array([box.z for box in boxes]).reshape(-1, 2)
@@ -68,6 +71,7 @@ class TeamLook:
             by_pixel @ R @ by_pixel.swapaxes(1, 2),
             widths(z, size, camera, team_from_camera.rotation, padding_px),
             gains(size, padding_px),
+            walk,
         )
 
     def without(self, tracks: Collection[int]) -> TeamLook:

@@ -138,9 +138,12 @@ class Metres:
         R = scan.R if scan.R is not None else tracker.measurement_noise(_sizes(scan), scan.score)
         camera = observer.pose @ body_from_camera
         velocity, velocity_cov = self._ego.velocity(observer.t)
+        walk = 0.0 if self._ego.carried is None else self._ego.carried.walk
 
         def looked(boxes: Sequence[NamedBox]) -> TeamLook:
-            return TeamLook.of(observer.t, boxes, lens, camera, velocity, padding_px=self._padding_px)
+            return TeamLook.of(
+                observer.t, boxes, lens, camera, velocity, padding_px=self._padding_px, walk=walk
+            )
 
         if self._anybody is not None:
             nameless = looked(named_boxes(_nameless(tracks), scan, R, number))

@@ -158,7 +158,8 @@ class RelativeStates:
         if last is not None and late:
             t, camera, velocity = last.t, last.camera, last.velocity
             keyed = zip(fresh, begun, strict=True)
-            begun = [self._carried_on(row, look.keys[i], late, camera - look.camera) for i, row in keyed]
+            u = camera - look.camera
+            begun = [self._carried_on(row, look.keys[i], late, u, look.walk) for i, row in keyed]
         beliefs = kept
         for row in begun:
             beliefs = beliefs.joined(row)
@@ -176,7 +177,7 @@ class RelativeStates:
             return nobody()
         step = decay(dt, self._prior(last.keys))
         prior, F = predicted(
-            last.beliefs, step, self._own_way(u, dt), dt=dt, errors=self._errors, drift=self._drift
+            last.beliefs, step, self._own_way(u, dt, look.walk), dt=dt, errors=self._errors, drift=self._drift
         )
         found = self._measured(prior, look, last.keys)
         posterior, A = self._corrected(prior, found, look.t, last.keys)
@@ -196,7 +197,12 @@ class RelativeStates:
             return nobody()
         step = decay_back(late, self._prior(last.keys))
         then, F = predicted(
-            last.beliefs, step, self._own_way(u, late), dt=late, errors=self._errors, drift=self._drift
+            last.beliefs,
+            step,
+            self._own_way(u, late, look.walk),
+            dt=late,
+            errors=self._errors,
+            drift=self._drift,
         )
         nu, H, R = self._measured(then, look, last.keys)
         since = then.P - F @ last.beliefs.P @ F.swapaxes(1, 2)
@@ -217,12 +223,15 @@ class RelativeStates:
             self._before.clear()
         return bool(stay)
 
-    def _own_way(self, u: Array, dt: float) -> OwnWay:
-        return OwnWay(u, self._p.odometry**2 * dt, self._p.jitter_m**2, self._p.attitude_walk**2 * dt)
+    def _own_way(self, u: Array, dt: float, walk: float) -> OwnWay:
+        return OwnWay(
+            u, (self._p.odometry**2 + walk) * dt, self._p.jitter_m**2, self._p.attitude_walk**2 * dt
+        )
 
-    def _carried_on(self, row: Beliefs, key: tuple[int, int], dt: float, u: Array) -> Beliefs:
+    def _carried_on(self, row: Beliefs, key: tuple[int, int], dt: float, u: Array, walk: float) -> Beliefs:
         step = decay(dt, self._prior([key]))
-        return predicted(row, step, self._own_way(u, dt), dt=dt, errors=self._errors, drift=self._drift)[0]
+        way = self._own_way(u, dt, walk)
+        return predicted(row, step, way, dt=dt, errors=self._errors, drift=self._drift)[0]
 
     def _measured(self, prior: Beliefs, look: TeamLook, keys: tuple[tuple[int, int], ...]) -> Measured:
         """What the look tells of these rows, which stand at its time."""

@@ -466,3 +466,20 @@ def test_who_hovered_for_long_and_then_comes_straight_on_is_known_to_come_where_
     assert np.median(comes + sigma) > 1.7
     calm = [sum(closing_of_one_who_comes(0.2, seed)) for seed in range(12)]
     assert np.median(calm) < 1.2
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_errors_of_a_carried_place_say_nothing_of_ranges(seed):
+    """The own place goes to and fro by 0.1 m, and no ray turns: as if the teammate were far away."""
+    rng, off, errors = np.random.default_rng(seed), np.zeros(3), {}
+    for walk in (0.0, 0.03):
+        states = RelativeStates(TOLD)
+        states.hear_announcement(announced(PLACE))
+        for k in range(200):
+            off = 0.8 * off + rng.normal(0.0, 0.06, 3)
+            states.observe(replace(look(k * DT, PLACE, rng=rng), camera=off, walk=walk))
+            states.hear_motion(moves((0.0, 0.0, 0.0), k * DT))
+        state = only(states, 199 * DT)
+        away = float(np.linalg.norm(PLACE))
+        errors[walk] = math.log(float(np.linalg.norm(state.position)) / away) / state.range_sigma_log
+    assert abs(errors[0.03]) < 2.0 < abs(errors[0.0])
