@@ -367,7 +367,7 @@ class HeadingNews(NamedTuple):
 
 
 class LeapNews(NamedTuple):
-    """At t [s] the autopilot's position jumped by off_m [m]. That was not flown: the drone goes on from where it was."""
+    """At t [s] the autopilot's position jumped by off_m [m], which was not flown: the drone is where it was."""
 
     t: float
     off_m: float
