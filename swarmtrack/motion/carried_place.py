@@ -53,8 +53,8 @@ class CarriedPlace:
 
     @property
     def walk(self) -> float:
-        """m²/s per axis: by how much the variance of the own way grows with time. Each look takes the place aside by as
-        much as its velocity was off since the one before."""
+        """m²/s per axis: how fast the variance of the own way grows. Between two looks that of the place grows by twice
+        its covariance with the velocity, and the second look takes the place aside by as much."""
         return max(2.0 * float(np.trace(self.cov[:3, 3:])) / 3.0, 0.0)
 
     @property

@@ -238,8 +238,7 @@ class EgoHistory:
             self._placed, self._lost_velocity = placed, None
         if len(self._poses) > 2 and self._poses[1].t < pose.t - self.history_s:
             del self._poses[0]
-        leap = float(np.linalg.norm(self.leapt - leapt))
-        return LeapNews(pose.t, leap) if leap else None
+        return None if self.leapt is leapt else LeapNews(pose.t, float(np.linalg.norm(self.leapt - leapt)))
 
     def fly(self, state: FlightState) -> None:
         """Set whether the drone flies, from its autopilot."""

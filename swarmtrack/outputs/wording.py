@@ -112,11 +112,8 @@ def describe(news: News) -> str:
     match news:
         case HeadingNews():
             return _describe_heading(news)
-        case LeapNews():
-            return (
-                f"our autopilot's position jumped by {news.off_m:.1f} m, which was not flown: "
-                "we go on from where we were"
-            )
+        case LeapNews() | DoubtNews() | CarriedNews():
+            return _describe_own_place(news)
         case GroundHeightNews():
             side = "above" if news.above_m > 0.0 else "below"
             return (
@@ -145,11 +142,6 @@ def describe(news: News) -> str:
             if distance is None:
                 return f"{radio} fits what we see again"
             return f"{radio}, {distance:.1f} m, does not fit what we see and is not used: is it set up for that drone?"
-        case DoubtNews(doubted=True, fault=fault):
-            likely = f" ({fault_in_words(fault)})" if fault else ""
-            return f"{SELF_DOUBT}{likely}: until they agree, we announce our position as unknown"
-        case DoubtNews():
-            return "our start and heading fit what we see again: announced again"
         case Disagreement():
             return (
                 f"drone {news.observer} and we see drone {news.drone_id} in different places "
@@ -160,17 +152,28 @@ def describe(news: News) -> str:
             return f"the Remote ID of {news.uas_id!r} is false: {where}"
         case RemoteIdNews():
             return f"stranger {news.number} is {news.uas_id!r} by Remote ID"
-        case CarriedNews(by=None):
-            return "our autopilot's position counts again"
-        case CarriedNews():
-            of_autopilot = "has none" if news.off_m is None else f"is {news.off_m:.1f} m off"
-            return f"our position: our autopilot {of_autopilot}, {held_in_words(news.by or (), news.sigma_m)}"
         case SeamNews():
             return _describe_seam(news)
         case MountingNews():
             return _describe_mounting(news)
         case _:
             return _describe_peer(news)
+
+
+def _describe_own_place(news: LeapNews | DoubtNews | CarriedNews) -> str:
+    match news:
+        case LeapNews(off_m=off_m):
+            return f"our autopilot's position jumped by {off_m:.1f} m, which was not flown: we go on from where we were"
+        case DoubtNews(doubted=True, fault=fault):
+            likely = f" ({fault_in_words(fault)})" if fault else ""
+            return f"{SELF_DOUBT}{likely}: until they agree, we announce our position as unknown"
+        case DoubtNews():
+            return "our start and heading fit what we see again: announced again"
+        case CarriedNews(by=None):
+            return "our autopilot's position counts again"
+        case CarriedNews():
+            of_autopilot = "has none" if news.off_m is None else f"is {news.off_m:.1f} m off"
+            return f"our position: our autopilot {of_autopilot}, {held_in_words(news.by or (), news.sigma_m)}"
 
 
 def _describe_heading(news: HeadingNews) -> str:

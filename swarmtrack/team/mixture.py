@@ -161,13 +161,14 @@ class JointMixture:
             log_w = log_w + self._of_many(many, weighing)
         for c in sorted(set(range(len(mates))) - set(many)):
             log_w = log_w + self._of_teammate(c, weighing)
+        # Before any past is kept: it would be one without what is by chance.
+        for i, b in enumerate(base):
+            self._hold_back(i, b, weighing)
         waiting = [i for i, track in enumerate(tracks) if track.waits]
         worth = self._log_weight[used] > LOG_SLEEPS
         for i, past in pasts_from_now(waiting, pasts, each, worth).items():
             for rows, last in zip(pasts[i], tracks[i].begin_waiting_on(past, used), strict=True):
                 rows[-1] = last
-        for i, b in enumerate(base):
-            self._hold_back(i, b, weighing)
         nobody, ratio = log_ratios(base, each)
         ratio = ratio.reshape(len(tracks), len(used), len(mates))
         log_w = log_w + sum(nobody, np.zeros(len(used)))
@@ -356,19 +357,21 @@ class JointMixture:
         track.hold_back([mate.column for mate in mates], more)
         each -= more
         for s, begun in enumerate(since):
-            if begun > track.unheard.since:
-                each[s] -= by_chance(self._moves_alike(i, s, weighing)) * speak
+            gains = np.flatnonzero(speak & (each[s].max(axis=0, initial=-np.inf) > 0.0))
+            if begun > track.unheard.since and gains.size:
+                alike = self._moves_alike(
+                    weighing.told[i], s, [mates[c] for c in gains.tolist()], weighing.known
+                )
+                each[s] -= by_chance(alike) * speak
 
-    def _moves_alike(self, i: int, segment: int, weighing: _Weighing) -> float:
-        """Log ratio of the teammate whose motion explains a segment of track i best, wherever it started."""
-        track, told, found = weighing.tracks[i], weighing.told[i], -math.inf
-        used = self._likeliest(PROOF_COMPONENTS)
+    def _moves_alike(self, told: Told, segment: int, mates: Sequence[Teammate], known: OwnKnowledge) -> float:
+        """Log ratio of the teammate whose motion explains a segment best, wherever it started."""
+        used, found = self._likeliest(PROOF_COMPONENTS), -math.inf
         log_w = np.log(self.weight[used])
-        for mate in weighing.mates:
-            if mate.knows(weighing.t) and track.compared[mate.column]:
-                M, weight = told.by_motion(segment, mate.column)
-                R = self._motion_ratios(mate, M, used, weighing.known) + weight[:, None]
-                found = max(found, float(np.logaddexp.reduce(log_w + R, axis=None)))
+        for mate in mates:
+            M, weight = told.by_motion(segment, mate.column)
+            R = self._motion_ratios(mate, M, used, known) + weight[:, None]
+            found = max(found, float(np.logaddexp.reduce(log_w + R, axis=None)))
         return found + LOG_ANYWHERE
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:

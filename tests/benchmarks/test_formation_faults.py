@@ -182,6 +182,14 @@ def test_a_glitch_that_is_shorter_than_a_filter_resists_changes_nothing():
     assert np.linalg.norm(np.diff(places, axis=0), axis=1).max() < 0.2
 
 
+def test_a_drone_that_is_denied_has_no_position_from_then_on_and_attitudes():
+    flight = Told(Fault.DENIED, 1, begins_s=0.5, ends_s=1.5)
+    flight.run()
+    poses = [event for _, event in flight.heard[1] if isinstance(event, EgoPose)]
+    assert {pose.position is None for pose in poses if pose.t < 0.5} == {False}
+    assert {pose.position is None for pose in poses if pose.t >= 0.5} == {True}
+
+
 @pytest.mark.long("35 s of flight; runtime/test_px4_failsafe.py has failsafes in the default run")
 def test_a_failsafe_takes_a_follower_up_and_home_and_it_is_engaged_no_more():
     flight = Told(Fault.RETURNS, 2, ends_s=30.0, lasts_s=100.0)
