@@ -33,7 +33,7 @@ from swarmtrack.wire.tracks import TracksMessage
 
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 IMU_HZ, POSE_HZ, FPS = 200, 50, 15.0
-PATIENCE_S = 60.0  # for an agent to show its first track
+PATIENCE_S = 60.0  # for an agent to show its first track, and its health
 
 
 class LoneAgent(NamedTuple):
@@ -82,6 +82,16 @@ class Heard:
             if message.tracks and exposure > self._exposure + 0.5 / FPS:
                 self._exposure = exposure
                 self.latencies.append(arrived_utc - exposure)
+
+    async def next_health(self) -> HealthMessage:
+        """Not the last one: that may be of the agent's first second, before its autopilot spoke."""
+        self.health = None
+        deadline = time.monotonic() + PATIENCE_S
+        while self.health is None:
+            if time.monotonic() > deadline:
+                raise BenchmarkError(f"agent: no health was heard within {PATIENCE_S:g} s")
+            await asyncio.sleep(0.02)
+        return self.health
 
 
 async def until_tracking(process: subprocess.Popen[bytes], heard: Heard) -> None:

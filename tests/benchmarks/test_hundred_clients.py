@@ -27,8 +27,9 @@ def test_everybody_knows_everybody_in_a_mesh_and_through_two_routers(
     for outcome in (mesh, routed):
         assert (outcome["sessions"], outcome["complete"]) == (SESSIONS, SESSIONS)
         assert 0 < outcome["announcement_bytes"] < 300
-        # Its own, and a few puts for all that ask in the rush of a start; then hardly anything but keep-alives.
+        # Its own, and a few puts for all that ask in the rush of a start.
         assert 1 <= outcome["announcements_sent_per_session"] <= 4
-        assert outcome["idle_bytes_s_per_session"] <= 200
+        # Keep-alives, and by chance the query that comes each ten seconds; an announcement a second would be thousands.
+        assert outcome["idle_bytes_s_per_session"] <= 400
         assert outcome["bytes_until_known_per_session"] > (SESSIONS - 1) * outcome["announcement_bytes"]
     assert [len(outcome["router_rss_mb"]) for outcome in (mesh, routed)] == [0, 2]
