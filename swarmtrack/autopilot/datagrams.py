@@ -3,6 +3,9 @@
 An autopilot sends some hundred datagrams per second, several at a time, and a reader that is late stamps them late. So
 the kernel stamps them (`SO_TIMESTAMPNS`). Its stamps are of the wall clock, which may step; they are bounded by the
 last read and this one.
+
+An arrival may be told late, never early: a clock map takes each for a bound and keeps the tightest of a minute
+(`clock_map`), so a single one that is milliseconds too early moves all its stamps for as long.
 """
 
 from __future__ import annotations
@@ -45,16 +48,19 @@ class DatagramSocket:
         """Datagrams since the last call, in order, at most `DATAGRAMS_PER_TURN`. Raises `OSError` for a reported
         network error; the next call reads the rest.
         """
-        now, utc, since = self._clock.now(), self._clock.utc(), self._looked_at
+        since = self._looked_at
+        utc = self._clock.utc()
+        began = self._clock.now()  # second: a pause between the two makes arrivals late
         for _ in range(DATAGRAMS_PER_TURN):
             try:
                 data, ancillary, _, sender = self._socket.recvmsg(LARGEST_UDP_BYTES, ANCILLARY)
             except BlockingIOError:
-                self._looked_at = now
+                self._looked_at = began
                 return
+            read = self._clock.now()  # not `began`: it may have come while the ones before were handled
             stamp = _stamp(ancillary)
-            age = 0.0 if stamp is None else utc - stamp
-            yield Datagram(min(max(now - age, since), now), data, sender)
+            arrival = read if stamp is None else began + stamp - utc
+            yield Datagram(min(max(arrival, since), read), data, sender)
 
     def send(self, data: bytes, receiver: Address | None = None) -> None:
         """Send to the other end, or to a receiver where there is none. Dropped when there is no room: all our

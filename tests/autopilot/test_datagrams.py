@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import socket
+import time
 from collections.abc import Iterator
 from contextlib import closing
 
@@ -77,3 +78,34 @@ async def test_a_flood_is_read_in_pieces_and_in_order(sender):
         pieces = [[datagram.data for datagram in opened.waiting()] for _ in range(3)]
     assert pieces[0] == numbers[:DATAGRAMS_PER_TURN]
     assert pieces[1:] == [numbers[DATAGRAMS_PER_TURN:], []]
+
+
+async def test_what_comes_while_the_ones_before_are_handled_is_not_stamped_early(sender):
+    port, clock = free_port(), LaterClock()
+    with closing(await listening(clock, port)) as opened:
+        sender.sendto(b"first", ("127.0.0.1", port))
+        waiting = opened.waiting()
+        next(waiting)
+        time.sleep(0.01)  # noqa: ASYNC251 – as a handler that holds the event loop
+        sent = clock.now()
+        sender.sendto(b"second", ("127.0.0.1", port))
+        second = next(waiting)
+    assert second.data == b"second"
+    assert sent - 1e-4 < second.arrival <= clock.now()
+
+
+async def test_a_pause_between_the_readings_of_two_clocks_stamps_nothing_early(sender):
+    """As of a process that loses its core there."""
+
+    class Pausing(LaterClock):
+        def utc(self) -> float:
+            utc = super().utc()
+            self.passed += 0.02
+            return utc
+
+    port, clock = free_port(), Pausing()
+    with closing(await listening(clock, port)) as opened:
+        sent = clock.now()
+        sender.sendto(b"data", ("127.0.0.1", port))
+        (datagram,) = opened.waiting()
+    assert datagram.arrival > sent - 1e-4
