@@ -510,6 +510,9 @@ class Ring(Section):
         default=1.8, description="smallest distance along the circle, m"
     )
     heights_m: Heights = Field(default=(5.0,), description="heights above the ground, taken in turn, m")
+    uneven_m: Annotated[Number, Field(ge=0.0)] = Field(
+        default=0.0, description="each stands off its even place, north and east, by up to this, m"
+    )
 
     def stations(self, n: int) -> list[Station]:
         """Four make a rhombus of two equilateral triangles. In a square, a camera of 73° would show each drone only
@@ -518,9 +521,14 @@ class Ring(Section):
         along, across = (1.3 * radius, 0.75 * radius) if n == 4 else (radius, radius)
         angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
         heights = self.heights_m
+        off = np.random.default_rng(n).uniform(-self.uneven_m, self.uneven_m, (n, 2))
         return [
-            Station(np.array([along * math.cos(a), across * math.sin(a), -heights[k % len(heights)]]))
-            for k, a in enumerate(angle)
+            Station(
+                np.array(
+                    [along * math.cos(a) + north, across * math.sin(a) + east, -heights[k % len(heights)]]
+                )
+            )
+            for k, (a, (north, east)) in enumerate(zip(angle.tolist(), off.tolist(), strict=True))
         ]
 
 
