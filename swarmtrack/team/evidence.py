@@ -253,7 +253,7 @@ class Marginal:
         heading in the first component."""
         found = np.empty((len(self._S), len(used)))
         spread = np.searchsorted(self._spreads, errors.spread[used])
-        sigma = np.where(used == 0, heading_sigma, errors.sigma[used])
+        sigma = errors.heading_sigma(used, heading_sigma)
         loose = errors.loose[used].astype(int)
         for s in np.unique(spread).tolist():
             here = np.flatnonzero(spread == s)
@@ -307,7 +307,8 @@ class Marginal:
         c = self._log_shares.shape[1]
         s = int(np.searchsorted(self._spreads, errors.spread[k]))
         y, P = np.repeat(prior.y[None, :, :, k], c, axis=0), self._P[s :: len(self._spreads)]
-        sigma = np.array([[heading_sigma if k == 0 else float(errors.sigma[k]), TEAMMATE_HEADING_SIGMA_RAD]])
+        own_sigma = float(errors.heading_sigma(np.array([k]), heading_sigma)[0])
+        sigma = np.array([[own_sigma, TEAMMATE_HEADING_SIGMA_RAD]])
         sigma, log_share = np.repeat(sigma, c, axis=0), self._log_shares[int(errors.loose[k])]
         if far and k == 0:
             n, starts = prior.far.shape[2], len(self._log_far_shares)
@@ -316,7 +317,7 @@ class Marginal:
             turned[:, :2, 1] = -turned[:, :2, 2]
             y = np.concatenate([y, np.tile(turned, (starts, 1, 1))])
             P = np.concatenate([P, np.repeat(P[:starts], n, axis=0)])
-            sigma = np.concatenate([sigma, [[heading_sigma, TEAMMATE_HEADING_CELL_SIGMA_RAD]] * (n * starts)])
+            sigma = np.concatenate([sigma, [[own_sigma, TEAMMATE_HEADING_CELL_SIGMA_RAD]] * (n * starts)])
             log_share = np.append(log_share, np.repeat(self._log_far_shares - math.log(n), n))
         return _solved(M, P, y, sigma, log_share)
 

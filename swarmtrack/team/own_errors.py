@@ -3,6 +3,11 @@
 A component states the own heading's error, whether the own path is turned with it, how far the own start is off, and
 who stands on whose pad. Within it the heading is Gaussian around the component's, and starts are around theirs.
 Single faults are worked out finely, two at once coarsely. A component says nothing about tracks.
+
+Within a component each pair of a track and a teammate integrates the heading out by itself, although it is the same of
+all. Where few are in view, that is enough. In a large team neighbours stand a degree apart, less than a heading is
+known, and each track alone fits its neighbours as well; so there the heading that is as stated has fine cells, one of
+which explains all tracks at once.
 """
 
 from __future__ import annotations
@@ -34,6 +39,9 @@ from swarmtrack.team.priors import (
     P_STARTS_LOOSE,
     P_TEAM_TURNED,
     PADS_SWAPPED_WITH,
+    SHARED_HEADING_CELL_RAD,
+    SHARED_HEADING_SIGMA_RAD,
+    SHARED_HEADING_WITHIN_RAD,
     SINGLE_FAULTS_FROM,
     SLEEPERS_PARTS,
     START_RING_DIRECTIONS,
@@ -111,7 +119,9 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
         # By nobody's start an own one that is off is not seen.
         return [nominal, *headings]
     if len(pads) > SINGLE_FAULTS_FROM:
-        return [nominal, *headings, *rings, *loose]
+        shared = _shared_headings()
+        beyond = [one for one in headings if abs(one.heading) > SHARED_HEADING_WITHIN_RAD]
+        return [*shared, *beyond, *rings, *loose]
     permutations = [
         Component(0.0, HEADING_CELL_SIGMA_RAD, PathTurn.NONE, (0.0, 0.0), 0.0, pads, prior)
         for pads, prior in _permutations(pads)
@@ -135,6 +145,24 @@ def components(own: int, pads: Mapping[int, Array]) -> list[Component]:
         for r in _ring(COUPLED_START_RING_M, 1)
     ]
     return [nominal, *headings, *rings, *loose, *permutations, *coupled]
+
+
+def _shared_headings() -> list[Component]:
+    """The heading as stated, in fine cells; the one without any error first."""
+    most = round(SHARED_HEADING_WITHIN_RAD / SHARED_HEADING_CELL_RAD - 0.5)
+    prior = P_HEADING_OFF * SHARED_HEADING_CELL_RAD / (2.0 * math.pi)
+    return [
+        Component(
+            k * SHARED_HEADING_CELL_RAD,
+            SHARED_HEADING_SIGMA_RAD,
+            PathTurn.NONE,
+            (0.0, 0.0),
+            0.0,
+            (),
+            prior if k else 0.0,
+        )
+        for k in sorted(range(-most, most + 1), key=abs)
+    ]
 
 
 def _headings(cell: float, sigma: float, prior: float) -> list[Component]:
@@ -182,9 +210,16 @@ def _permutations(pads: Mapping[int, Array]) -> list[tuple[Permutation, float]]:
     return [(one, P_PADS_PERMUTED / len(found)) for one in found]
 
 
+_CELL_OF_SIGMA = {
+    HEADING_CELL_SIGMA_RAD: HEADING_CELL_RAD,
+    COUPLED_HEADING_SIGMA_RAD: COUPLED_HEADING_CELL_RAD,
+    SHARED_HEADING_SIGMA_RAD: SHARED_HEADING_CELL_RAD,
+}
+
+
 def _key(c: Component, angle: float = 0.0) -> tuple[object, ...]:
     """What a component is known by in any team: one like c with a heading that is off by angle [rad] more."""
-    cell = COUPLED_HEADING_CELL_RAD if c.sigma == COUPLED_HEADING_SIGMA_RAD else HEADING_CELL_RAD
+    cell = _CELL_OF_SIGMA[c.sigma]
     heading = (round(c.heading / cell) + round(angle / cell)) % round(2.0 * math.pi / cell)
     if not heading:
         return (0, HEADING_CELL_RAD, PathTurn.NONE, c.shift, c.pads, c.loose)
@@ -221,11 +256,15 @@ class OwnErrors:
         self.loose = np.array([c.loose for c in each])
         self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
         self._faults = np.array([c.fault.value for c in each])
+        is_shared = self.sigma == SHARED_HEADING_SIGMA_RAD
+        self._as_stated = np.flatnonzero(is_shared) if is_shared.any() else np.zeros(1, int)
+        self._within = SHARED_HEADING_WITHIN_RAD if is_shared.any() else 0.5 * HEADING_CELL_RAD
         # The cells that a heading which is not off may be in as well.
         single = [
             c.heading != 0.0 and not c.ring and not c.pads and c.path is not PathTurn.TEAM for c in each
         ]
         self._may_be_right = np.array(single)
+        self._may_be_right[self._as_stated] = False
 
     def __len__(self) -> int:
         return len(self.components)
@@ -233,15 +272,23 @@ class OwnErrors:
     def log_prior(self, heading_sigma: float) -> tuple[Array, Array]:
         """Log prior (k,), and the share (k,) of it in which the own heading is a fault. heading_sigma [rad]: how well
         the autopilot says that it knows its heading."""
-        mass = math.erf(0.5 * HEADING_CELL_RAD / (heading_sigma * math.sqrt(2.0)))
-        other = np.exp(-0.5 * (self.heading / heading_sigma) ** 2) * self._may_be_right
+        mass = math.erf(self._within / (heading_sigma * math.sqrt(2.0)))
+        density = np.exp(-0.5 * (self.heading / heading_sigma) ** 2)
+        other = density * self._may_be_right
         # Two paths of each cell.
         right = (1.0 - mass) * other / max(float(other.sum()), 1e-300)
-        right[0] = mass
+        stated = self._as_stated
+        right[stated] = mass * density[stated] / float(density[stated].sum())
         right *= 1.0 - float(self._prior.sum())
         off = np.where(self.heading != 0.0, self._prior, 0.0)
         prior = self._prior + right
         return np.log(np.maximum(prior, 1e-300)), off / np.maximum(prior, 1e-300)
+
+    def heading_sigma(self, used: NDArray[np.intp], stated: float) -> Array:
+        """(len(used),) rad: within the components used. stated [rad]: how well the autopilot says that it knows its
+        heading."""
+        alone = used == 0 if len(self._as_stated) == 1 else np.zeros(len(used), bool)
+        return np.where(alone, stated, self.sigma[used])
 
     def mapped_from(self, before: OwnErrors, value: NDArray[Any]) -> NDArray[Any]:
         """(k,) of these components from (k,) of those before; what is new has the first one's."""

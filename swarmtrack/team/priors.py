@@ -35,8 +35,11 @@ COUPLED_HEADING_CELL_RAD, COUPLED_HEADING_SIGMA_RAD = math.radians(12.0), math.r
 COUPLED_START_RING_M = 2.5
 # In a larger team only swaps of the own pad are second faults.
 COUPLED_PADS_ALL = 6
-# Of a larger team than this, single faults of this drone are all that is looked for.
+# Of a larger team than this, single faults of this drone are all that is looked for; and a heading as stated is looked
+# for in fine cells, of such a width and sigma, within so much of what is stated.
 SINGLE_FAULTS_FROM = 40
+SHARED_HEADING_CELL_RAD, SHARED_HEADING_SIGMA_RAD = math.radians(0.6), math.radians(0.3)
+SHARED_HEADING_WITHIN_RAD = math.radians(9.3)
 
 # --- A teammate's errors. ---
 

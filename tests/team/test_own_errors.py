@@ -6,6 +6,11 @@ import numpy as np
 import pytest
 
 from swarmtrack.team.own_errors import OwnErrors
+from swarmtrack.team.priors import (
+    SHARED_HEADING_CELL_RAD,
+    SHARED_HEADING_SIGMA_RAD,
+    SHARED_HEADING_WITHIN_RAD,
+)
 
 PADS = {drone: np.array([3.0 * drone, drone % 2, -1.0]) for drone in (1, 2, 3, 4)}
 
@@ -85,3 +90,28 @@ def test_a_step_within_a_cell_moves_nothing():
     errors = OwnErrors(1, PADS)
     value = np.arange(len(errors))
     assert errors.turned(value, math.radians(2.0)).tolist() == value.tolist()
+
+
+def test_a_large_team_shares_one_heading_in_fine_cells():
+    """What a heading as stated has in a small team its cells share, and none of them is a fault."""
+    pads = {drone: np.array([3.0 * drone, 0.0, 0.0]) for drone in range(1, 60)}
+    large, small = OwnErrors(1, pads), OwnErrors(1, PADS)
+    sigma = math.radians(2.0)
+    log_prior, off = large.log_prior(sigma)
+    within = np.abs(large.heading) <= SHARED_HEADING_WITHIN_RAD
+    as_stated = within & (large.ring == 0.0)
+    assert np.exp(log_prior).sum() == pytest.approx(1.0, abs=1e-3)
+    assert as_stated.sum() == 31
+    assert np.exp(log_prior[as_stated]).sum() > 0.85
+    assert off[as_stated & (np.abs(large.heading) < 2.0 * sigma)].max() < 0.02
+    used = np.arange(len(large))
+    assert large.heading_sigma(used, sigma)[as_stated] == pytest.approx(SHARED_HEADING_SIGMA_RAD)
+    assert small.heading_sigma(np.arange(2), sigma).tolist() == [sigma, small.sigma[1]]
+
+
+def test_a_turned_heading_takes_fine_cells_along():
+    pads = {drone: np.array([3.0 * drone, 0.0, 0.0]) for drone in range(1, 60)}
+    errors = OwnErrors(1, pads)
+    value = np.where(np.isclose(errors.heading, SHARED_HEADING_CELL_RAD), 7.0, 0.0)
+    turned = errors.turned(value, -SHARED_HEADING_CELL_RAD)
+    assert turned[errors.heading == 2.0 * SHARED_HEADING_CELL_RAD] == pytest.approx(7.0)
