@@ -466,6 +466,11 @@ class JointMixture:
 
     # --- where they are ---
 
+    def expected_place(self, drone_id: int, design: Array) -> Array:
+        """(3,) m from the own camera, in the axes of the own rays: where a teammate is by the likeliest component, and
+        by no bearing. design (3, 8): `evidence.design` of where it says that it is."""
+        return np.asarray(design @ self._priors[drone_id].y[:, 0, int(self.weight.argmax())])
+
     def stated_place(self, mate: Teammate, design: Array, known: OwnKnowledge) -> tuple[Array, Array]:
         """As `place`, with all starts as stated."""
         M = np.zeros((8, 8))

@@ -28,6 +28,7 @@ from swarmtrack.team.evidence import design, turned_back
 from swarmtrack.team.last_seen import LastSeenRay
 from swarmtrack.team.mixture import JointMixture, OwnKnowledge
 from swarmtrack.team.priors import (
+    BEARING_SIGMA_RAD,
     BELIEVED_ENDED_S,
     BOX_LEARNED_EVERY_S,
     BOX_SIZE_SIGMA_LN,
@@ -40,6 +41,7 @@ from swarmtrack.team.priors import (
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
+    NAMES_TELL,
     NEAREST_BOX_M,
     P_BELIEVED,
     P_ELSEWHERE,
@@ -54,9 +56,11 @@ from swarmtrack.team.priors import (
     ROUND_NEAR_S,
     ROUND_S,
     START_LEAST_SIGMA_M,
+    START_OFF_SIGMA_M,
     TRACKED_ERROR_LASTS_S,
 )
 from swarmtrack.team.reported_places import SaidPlace
+from swarmtrack.team.scan_attitude import NamedRay, ScanAttitude
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
 
@@ -347,6 +351,7 @@ class TeamPosterior:
         near = [one for one in placed if np.linalg.norm(one[1].place - one[0].start) < FARTHEST_COMPARED_M]
         if not near:
             return
+        away = _distances(near, scan.origin)
         compared = Compared(
             columns=np.array([mate.column for mate, _ in near]),
             place=np.array([said.place - mate.start for mate, said in near]),
@@ -355,8 +360,10 @@ class TeamPosterior:
             span_variance=np.array([mate.span_variance for mate, _ in near]),
             is_near=np.array([mate.knows_start for mate, _ in near]),
             log_there=np.array([mate.log_waits(scan.t) for mate, _ in near]),
-            within=_distances(near, scan.origin),
+            farthest=away + 2.0 * START_OFF_SIGMA_M[-1],
+            within=_within(away),
         )
+        bearings = self._without_attitude(scan, near, compared)
         knows = np.array([mate.knows(scan.t) for mate, _ in near])
         with_far = round(scan.t / ROUND_S) % FAR_COMPARED_EVERY == 0
         for id in ids:
@@ -368,7 +375,35 @@ class TeamPosterior:
             which = knows | ~track.compared[compared.columns]
             if not with_far:
                 which &= np.isnan(track.faint[compared.columns])
-            track.add(scan.bearings[id], compared.only(which), scan.bearings[id].camera - self._start)
+            track.add(bearings[id], compared.only(which), bearings[id].camera - self._start)
+
+    def _without_attitude(
+        self, scan: BearingScan, near: Sequence[tuple[Teammate, SaidPlace]], compared: Compared
+    ) -> Mapping[int, Bearing]:
+        """The bearings of a scan, turned back by the attitude's error where enough teammates show it."""
+        assert self._start is not None
+        at = {mate.drone_id: (i, mate) for i, (mate, _) in enumerate(near)}
+        seen: list[tuple[int, int, Teammate, float]] = []
+        for id in scan.bearings:
+            drone, p = self.named[id].likeliest if id in self.named else (0, 0.0)
+            if p > P_HELD and drone in at:
+                seen.append((id, *at[drone], p))
+        if sum(p for *_, p in seen) < NAMES_TELL:
+            return scan.bearings
+        rays = {}
+        for id, i, mate, p in seen:
+            bearing, deviation = scan.bearings[id], compared.deviation
+            to = design(compared.place[[i]], bearing.camera - self._start)[0]
+            expected = self.mixture.expected_place(mate.drone_id, to)
+            distance = float(np.linalg.norm(expected))
+            place_var = deviation.sigma[i] ** 2 + deviation.white[i] + float(np.trace(mate.start_cov)) / 3.0
+            variance = bearing.variance - BEARING_SIGMA_RAD**2 + place_var / distance**2
+            rays[id] = NamedRay(bearing.direction, expected / distance, p, variance)
+        attitude, order = ScanAttitude(list(rays.values())), {id: i for i, id in enumerate(rays)}
+        return {
+            id: bearing.turned(*attitude.turned_back(bearing.direction, order.get(id)))
+            for id, bearing in scan.bearings.items()
+        }
 
     def _deviation(self, scan: BearingScan, said: Sequence[SaidPlace]) -> Deviation:
         """How far teammates may be from where they say, and this drone along its way: by their clocks and its own."""
@@ -523,13 +558,18 @@ class TeamPosterior:
         )
 
 
-def _distances(near: Sequence[tuple[Teammate, SaidPlace]], origin: Array) -> tuple[float, float]:
-    """The least and the largest distance [m] from the origin (3,) m at which teammates say that they are; any, where
-    one of them may be anywhere."""
-    if not all(mate.knows_start for mate, _ in near):
-        return 0.0, math.inf
-    away = [max(float(np.linalg.norm(said.place - origin)), NEAREST_BOX_M) for _, said in near]
-    return min(away), max(away)
+def _distances(near: Sequence[tuple[Teammate, SaidPlace]], origin: Array) -> Array:
+    """(m,) m from the origin (3,) m at which teammates say that they are; inf where one may be anywhere."""
+    away = np.array([np.linalg.norm(said.place - origin) for _, said in near])
+    known = np.array([mate.knows_start for mate, _ in near])
+    return np.where(known, np.maximum(away, NEAREST_BOX_M), np.inf)
+
+
+def _within(away: Array) -> tuple[float, float]:
+    """The least and the largest of the distances at which teammates say that they are; any, where one may be
+    anywhere."""
+    least, most = float(away.min()), float(away.max())
+    return (least, most) if math.isfinite(most) else (0.0, math.inf)
 
 
 def _carried_log_odds(p: float, p_none: float, p_same: float) -> float:

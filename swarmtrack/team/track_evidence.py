@@ -23,6 +23,7 @@ from swarmtrack.team.evidence import design, fading
 from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past
 from swarmtrack.team.priors import (
     ATTITUDE_LASTING_SIGMA_RAD,
+    BEARING_SIGMA_RAD,
     BOX_SIZE_SIGMA_LN,
     DISTANCE_SHARE,
     DISTANCE_STEP_LN,
@@ -62,7 +63,7 @@ _DISTANCES_OF_NEAR = np.where(_DISTANCES < 0.0, math.nan, _DISTANCES)
 class Bearing(NamedTuple):
     """A track in one scan: t [s]; camera (3,) m, team frame; pixel (2,), undistorted; direction (3,), unit vector in
     the axes of the own rays; variance rad²; distance [m] at which a box of `BOX_SPAN_M` looks as large; weak: of a
-    track that is not confirmed yet."""
+    track that is not confirmed yet; lasting rad: one sigma of the attitude's error that lasts."""
 
     t: float
     camera: Array
@@ -71,6 +72,12 @@ class Bearing(NamedTuple):
     variance: float
     distance: float
     weak: bool = False
+    lasting: float = ATTITUDE_LASTING_SIGMA_RAD
+
+    def turned(self, direction: Array, left: float) -> Bearing:
+        """With another direction (3,), of whose attitude's variance that share is left."""
+        variance = self.variance - (1.0 - left) * BEARING_SIGMA_RAD**2
+        return self._replace(direction=direction, variance=variance, lasting=math.sqrt(left) * self.lasting)
 
 
 @dataclass(slots=True)
@@ -92,8 +99,8 @@ class Compared(NamedTuple):
 
     columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; deviation: how far it
     may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance; log_there
-    (m,): log prior that it is about there at all; within [m]: the least and the largest distance at which one of them
-    says that it is.
+    (m,): log prior that it is about there at all; farthest (m,) m: beyond that it can hardly be, by what it says;
+    within [m]: the least and the largest distance at which one of them says that it is.
     """
 
     columns: NDArray[np.intp]
@@ -103,6 +110,7 @@ class Compared(NamedTuple):
     span_variance: Array
     is_near: NDArray[np.bool_]
     log_there: Array
+    farthest: Array
     within: tuple[float, float]
 
     def only(self, chosen: NDArray[np.bool_]) -> Compared:
@@ -115,6 +123,7 @@ class Compared(NamedTuple):
             self.span_variance[chosen],
             self.is_near[chosen],
             self.log_there[chosen],
+            self.farthest[chosen],
             self.within,
         )
 
@@ -323,12 +332,14 @@ class TrackEvidence:
         self._fade(bearing.t)
         mates, since = mates.only(counts), since[counts]
         j, first = mates.columns, ~np.isfinite(since)
-        # All errors are compared at one distance, the box's, within those at which teammates are stated to be.
+        # All errors are compared at one distance, the box's, within those at which teammates are stated to be; of one
+        # that can hardly be so far away, at its farthest.
         least, most = mates.within
-        rho, d = min(max(bearing.distance, least), most), bearing.direction
+        rho = np.minimum(min(max(bearing.distance, least), most), mates.farthest)
+        d = bearing.direction
         white = bearing.variance * rho**2 + mates.deviation.white
         deviation = mates.deviation._replace(
-            sigma=np.hypot(mates.deviation.sigma, ATTITUDE_LASTING_SIGMA_RAD * rho), white=white
+            sigma=np.hypot(mates.deviation.sigma, bearing.lasting * rho), white=white
         )
         G = design(mates.place, own_way)
         along = d @ G
@@ -342,15 +353,15 @@ class TrackEvidence:
             j,
             d,
             dt=np.where(first, 0.0, since),
-            parallax=-(moved - (moved @ d)[:, None] * d) / rho,
+            parallax=-(moved - (moved @ d)[:, None] * d) / rho[:, None],
             variance=white / rho**2,
             least=innovations[0][1] / rho**2,
-            distance=np.full(len(j), rho),
+            distance=rho,
         )
         for segment, (left, S) in zip(current, innovations, strict=True):
             said = np.zeros((len(j), _WIDTH))
             said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
-            said[:, _LOG] = mates.log_there + 2.0 * math.log(rho) - np.log(2.0 * math.pi * S)
+            said[:, _LOG] = mates.log_there + 2.0 * np.log(rho) - np.log(2.0 * math.pi * S)
             said[:, _STRANGER] = stranger
             segment.sum[j] += said
         self._at[j], self._camera_at[j] = bearing.t, bearing.camera
@@ -380,13 +391,13 @@ class TrackEvidence:
         for segment in self.segments:
             segment.sum[columns, _LOG] -= log_ratio
 
-    def _add_size(self, mates: Compared, along: Array, rho: float, *, compared_at: float) -> None:
+    def _add_size(self, mates: Compared, along: Array, rho: float, *, compared_at: Array) -> None:
         """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.
         The error is one of the distance's logarithm: a mixture of Gaussians of the distance."""
         fresh = ~self._sized[mates.columns]
         if not fresh.any():
             return
-        mates, along = mates.only(fresh), along[fresh]
+        mates, along, compared_at = mates.only(fresh), along[fresh], compared_at[fresh]
         j, variance = mates.columns, mates.span_variance + BOX_SIZE_SIGMA_LN**2
         # A place that is known at least within metres is at no small share of what the box says.
         steps = np.where(mates.is_near, _DISTANCES_OF_NEAR[:, None], _DISTANCES[:, None])
@@ -399,7 +410,7 @@ class TrackEvidence:
         log = np.log(weight / np.nansum(weight, axis=0))
         log += math.log(STRANGER_DISTANCE_RANGE_LN / (DISTANCE_SHARE * math.sqrt(2.0 * math.pi)))
         # The first bearing's density, per sr, was worked out at one distance for all.
-        log += 2.0 * np.log(np.clip(distance, *mates.within) / compared_at)
+        log += 2.0 * np.log(np.minimum(np.clip(distance, *mates.within), mates.farthest) / compared_at)
         self.size[:, j] = np.nan_to_num(size)
         self.size_log[:, j] = np.where(np.isnan(steps), -np.inf, log)
         self._sized[j] = True

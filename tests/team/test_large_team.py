@@ -12,7 +12,8 @@ from swarmtrack.team.track_evidence import Bearing
 MATES, SEEN, SCAN_S = 14, 11, 0.2
 IDS = range(2, 2 + MATES)
 T = np.arange(0.0, 40.0, 0.1)
-SIGMA_RAD = 0.005
+SIGMA_RAD, ATTITUDE_SIGMA_RAD = 0.003, 0.004
+VARIANCE = SIGMA_RAD**2 + ATTITUDE_SIGMA_RAD**2
 
 
 def start(drone):
@@ -35,14 +36,15 @@ def flight(seconds, handed_over=None):
         posterior.announce(Announcement(drone, "0000000a", 1, 0.0, 0.0, start(drone), np.eye(3), cov))
         posterior.agree(AgreedMotion(drone, T, moved(drone, T) - moved(drone, T[:1]), planned=False))
     for t in np.arange(SCAN_S, seconds, SCAN_S).tolist():
-        bearings = {}
+        bearings, turn = {}, chance.normal(0.0, ATTITUDE_SIGMA_RAD, 3)
         for id in range(2, 2 + SEEN):
             drone = 2 + SEEN if id == 2 and handed_over is not None and t >= handed_over else id
             place = start(drone) + moved(drone, np.array([t]))[0] - moved(drone, T[:1])[0]
-            ray = place / np.linalg.norm(place) + chance.normal(0.0, SIGMA_RAD, 3)
+            ray = place / np.linalg.norm(place)
+            ray = ray + np.cross(turn, ray) + chance.normal(0.0, SIGMA_RAD, 3)
             pixel = 1000.0 * ray[1:]
             bearings[id] = Bearing(
-                t, np.zeros(3), pixel, ray / np.linalg.norm(ray), SIGMA_RAD**2, float(np.linalg.norm(place))
+                t, np.zeros(3), pixel, ray / np.linalg.norm(ray), VARIANCE, float(np.linalg.norm(place))
             )
         scan = BearingScan(t, 0, np.zeros(3), bearings, {})
         posterior.observe(scan, bearings.keys(), np.zeros(3), OwnKnowledge(0.1, 0.02))

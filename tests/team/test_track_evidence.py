@@ -18,7 +18,7 @@ from swarmtrack.team.track_evidence import COLUMN_OF_NOBODY, Bearing, Compared, 
 MATES = 3
 
 
-def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0):
+def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0, farthest=math.inf):
     direction = np.array([1.0, *chance.normal(0.0, 0.05, 2)])
     bearing = Bearing(t, np.zeros(3), np.zeros(2), direction / np.linalg.norm(direction), 1e-4, distance)
     places = np.tile([8.0, 0.0, 0.0], (MATES, 1)) + chance.normal(0.0, 0.3, (MATES, 3))
@@ -26,7 +26,15 @@ def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0)
     deviation = Deviation(0.1 * ones, 0.5 * ones, 0.01 * ones)
     near = np.full(MATES, is_near)
     mates = Compared(
-        np.arange(MATES), places, deviation, 0.0 * ones, BOX_SPAN_SIGMA_LN**2 * ones, near, 0.0 * ones, within
+        np.arange(MATES),
+        places,
+        deviation,
+        0.0 * ones,
+        BOX_SPAN_SIGMA_LN**2 * ones,
+        near,
+        0.0 * ones,
+        farthest * ones,
+        within,
     )
     track.add(bearing, mates, np.zeros(3))
 
@@ -136,6 +144,15 @@ def test_a_density_of_bearings_is_by_the_distance_at_which_a_drone_is_supposed()
     by_size = -0.5 * DISTANCE_STEP_LN**2 / variance
     more = track.told().size_log[[1, 3], 0] - track.told().size_log[0, 0]
     assert more == pytest.approx([by_size + 2.0 * DISTANCE_STEP_LN, by_size - 2.0 * DISTANCE_STEP_LN])
+
+
+def test_a_bearing_is_compared_at_no_distance_that_a_drone_can_hardly_have():
+    """Else the same angle would be a small part of a neighbour's error, and any track might be a neighbour's."""
+    limited, near = TrackEvidence(MATES, 0), TrackEvidence(MATES, 0)
+    add(limited, 0.0, np.random.default_rng(1), distance=80.0, farthest=8.0)
+    add(near, 0.0, np.random.default_rng(1), distance=8.0)
+    assert pytest.approx(near.told().M) == limited.told().M
+    assert limited.told().log == pytest.approx(near.told().log)
 
 
 def test_only_so_many_segments_are_kept_the_likeliest_and_the_last():

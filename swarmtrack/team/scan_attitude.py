@@ -1,0 +1,54 @@
+"""The error of this drone's attitude in one scan, by the tracks that have names.
+
+An attitude's error turns all rays of a scan alike. Where many tracks have names it is seen in all of them at once, and
+the rest of a ray's error is a third of it. Each ray is turned back by what the others say, not by itself: it is to be
+compared with teammates without having been fitted to one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmtrack.geometry.rotation import hat
+from swarmtrack.messages import Array
+from swarmtrack.team.priors import ATTITUDE_LASTING_SIGMA_RAD, BEARING_SIGMA_RAD
+
+_PRIOR_VARIANCE = BEARING_SIGMA_RAD**2 + ATTITUDE_LASTING_SIGMA_RAD**2
+
+
+class NamedRay(NamedTuple):
+    """A track's direction (3,), unit, and where its teammate is by what is known of it (3,), unit; probability of that
+    name; variance [rad²]: of the one less the other, without the attitude."""
+
+    direction: Array
+    expected: Array
+    probability: float
+    variance: float
+
+
+class ScanAttitude:
+    """Error of one scan's attitude: what is turned back, and by how much rays are still wrong."""
+
+    def __init__(self, rays: Sequence[NamedRay]) -> None:
+        d = np.array([ray.direction for ray in rays])
+        weight = np.array([ray.probability / ray.variance for ray in rays])
+        off = np.array([ray.expected for ray in rays]) - d
+        # expected = d + θ × d: information of each ray on θ.
+        self._each = weight[:, None, None] * (np.eye(3) - d[:, :, None] * d[:, None, :])
+        self._said = weight[:, None] * np.cross(d, off)
+        self._information = np.eye(3) / _PRIOR_VARIANCE + self._each.sum(axis=0)
+        self._sum = self._said.sum(axis=0)
+
+    def turned_back(self, direction: Array, ray: int | None) -> tuple[Array, float]:
+        """A direction (3,) without this error, and what is left of the error's variance, as a share. ray: its index
+        among those that the error is known by, which does not count then."""
+        information, said = self._information, self._sum
+        if ray is not None:
+            information, said = information - self._each[ray], said - self._said[ray]
+        cov = np.linalg.inv(information)
+        turned = direction + hat(cov @ said) @ direction
+        left = 0.5 * float(np.trace(cov) - direction @ cov @ direction) / _PRIOR_VARIANCE
+        return turned / np.linalg.norm(turned), left

@@ -1,0 +1,49 @@
+"""An attitude's error is taken off rays by the others of the scan."""
+
+import numpy as np
+import pytest
+
+from swarmtrack.team.priors import BEARING_SIGMA_RAD
+from swarmtrack.team.scan_attitude import NamedRay, ScanAttitude
+
+OWN_SIGMA_RAD = 0.002
+
+
+def scan(n, chance, turn=None):
+    """n rays ahead, seen with an attitude that is turned by turn (3,) rad, and where their teammates are."""
+    azimuth, up = chance.uniform(-0.6, 0.6, n), chance.uniform(-0.3, 0.3, n)
+    expected = np.stack([np.cos(azimuth), np.sin(azimuth), up], axis=1)
+    expected /= np.linalg.norm(expected, axis=1)[:, None]
+    turn = chance.normal(0.0, BEARING_SIGMA_RAD, 3) if turn is None else turn
+    seen = expected - np.cross(turn, expected) + chance.normal(0.0, OWN_SIGMA_RAD, (n, 3))
+    seen /= np.linalg.norm(seen, axis=1)[:, None]
+    return [NamedRay(d, u, 1.0, OWN_SIGMA_RAD**2) for d, u in zip(seen, expected, strict=True)]
+
+
+def test_what_is_left_of_many_rays_is_their_own_error():
+    chance, before, after = np.random.default_rng(1), [], []
+    for _ in range(200):
+        rays = scan(20, chance)
+        attitude = ScanAttitude(rays)
+        for i, ray in enumerate(rays):
+            turned, left = attitude.turned_back(ray.direction, i)
+            before.append(np.sum((ray.direction - ray.expected) ** 2) / 2.0)
+            after.append(np.sum((turned - ray.expected) ** 2) / 2.0)
+            assert 0.0 < left < 0.1
+    assert np.mean(before) == pytest.approx(OWN_SIGMA_RAD**2 + BEARING_SIGMA_RAD**2, rel=0.1)
+    assert np.mean(after) == pytest.approx(OWN_SIGMA_RAD**2, rel=0.2)
+
+
+def test_one_ray_says_nothing_of_itself():
+    (ray,) = scan(1, np.random.default_rng(2), turn=np.array([0.0, 0.0, 0.01]))
+    turned, left = ScanAttitude([ray]).turned_back(ray.direction, 0)
+    assert turned == pytest.approx(ray.direction)
+    assert left == pytest.approx(1.0)
+
+
+def test_a_ray_without_a_name_is_turned_by_all_others():
+    chance, turn = np.random.default_rng(3), np.array([0.008, -0.006, 0.012])
+    rays = scan(21, chance, turn=turn)
+    turned, _ = ScanAttitude(rays[1:]).turned_back(rays[0].direction, None)
+    assert np.linalg.norm(turned - rays[0].expected) < 3.0 * OWN_SIGMA_RAD
+    assert np.linalg.norm(rays[0].direction - rays[0].expected) > 3.0 * OWN_SIGMA_RAD
