@@ -287,7 +287,9 @@ class TeamPosterior:
             scans.popleft()
         for id in [id for id in self._tracks if id not in alive]:
             self._end(id, t)
-        self._watch(scan)
+        if self._watch(scan):
+            # Pasts are of what was compared before.
+            self._weigh(t)
         compared = self._compare_rounds(scan)
         # A teammate that has just come is new to all.
         new = [
@@ -446,20 +448,23 @@ class TeamPosterior:
             if mate is not None and p > P_HELD:
                 mate.seen = LastSeenRay.after(mate.seen, id, bearing, p)
 
-    def _watch(self, scan: BearingScan) -> None:
-        """Which tracks are confirmed, and which may have gone over to another target."""
+    def _watch(self, scan: BearingScan) -> bool:
+        """Which tracks are confirmed, and which may have gone over to another target. Returns whether one has come
+        back after a miss, as another perhaps."""
         t, number = scan.t, scan.camera
         passed = 0.0 if math.isnan(self._watched[number]) else max(t - self._watched[number], 0.0)
         self._watched[number] = t
         at = np.array([bearing.pixel for bearing in scan.bearings.values()]).reshape(-1, 2)
         gap = np.linalg.norm(at[:, None] - at, axis=2) + np.diag(np.full(len(at), np.inf))
+        any_back = False
         for id, near in zip(scan.bearings, gap, strict=True):
             # Another camera may have missed it since, and its scan have come first.
             missed = max(t - self._missed.pop(id, t), 0.0)
             if id in self._tracks:
                 self._tracks[id].weak = scan.bearings[id].weak
-                self._tracks[id].watch(t, passed, missed, float(near.min()))
+                any_back |= self._tracks[id].watch(t, passed, missed, float(near.min()))
         self._missed |= scan.missed
+        return any_back
 
     def _end(self, id: int, t: float) -> None:
         """What an ended track said stays: the frame of whom it was, and which component that speaks for. Of a track
@@ -492,6 +497,8 @@ class TeamPosterior:
             self._set_team()
         mates = list(self.teammates.values())
         ids, tracks = [mate.drone_id for mate in mates], list(self._tracks.values())
+        for track in tracks:
+            track.begin_due_segment()
         P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
         moved: dict[int, Mapping[int, float]]
         if self.mixture.looks_at_all:

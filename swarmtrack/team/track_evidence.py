@@ -422,23 +422,37 @@ class TrackEvidence:
         """Its index."""
         return max(range(len(self.segments)), key=lambda s: self.segments[s].weight)
 
-    def watch(self, t: float, passed: float, missed: float, gap_px: float) -> None:
+    def watch(self, t: float, passed: float, missed: float, gap_px: float) -> bool:
         """It was detected at t, so many s after the last scan, `missed` s after it was missed first, and gap_px from
-        the next track: it may have gone over to another target."""
+        the next track. Returns whether it was missed for so long that a segment has begun."""
         if self.whole is None:
-            return
+            return False
         self._hazard += HANDOVER_PER_S * passed + HANDOVER_MISSED_PER_S * missed
         self._hazard += HANDOVER_MET if gap_px < TRACKS_MEET_PX else 0.0
+        is_back = missed > SEGMENT_MISSED_S and t - self._newest_since > SEGMENT_AFTER_MISS_S
+        if is_back:
+            self._go_over(t)
+        return is_back
+
+    def begin_due_segment(self) -> None:
+        """After some time it may be another, from the last compared bearing on: all that is compared is its past."""
+        if self.whole is not None and self.t - self._newest_since >= SEGMENT_LEAST_S:
+            self._go_over(math.nextafter(self.t, math.inf))
+
+    @property
+    def _newest_since(self) -> float:
         newest = self.segments[-1].since
-        age = t - (newest if math.isfinite(newest) else self._begun_t)
-        is_back = missed > SEGMENT_MISSED_S and age > SEGMENT_AFTER_MISS_S
-        if age >= SEGMENT_LEAST_S or is_back:
-            log_handover = math.log(min(max(self._hazard, HANDOVER_LEAST), HANDOVER_MOST))
-            self._hazard = 0.0
-            # What sleeping components would make of it is not known, so they gain nothing by it.
-            log = np.zeros(len(self.whole))
-            log[self._learned] = self.whole[self._learned]
-            self.begin_segment(t, log_handover, log)
+        return newest if math.isfinite(newest) else self._begun_t
+
+    def _go_over(self, t: float) -> None:
+        """From t on it may be another, by all that has happened to it since the last such time."""
+        assert self.whole is not None
+        log_handover = math.log(min(max(self._hazard, HANDOVER_LEAST), HANDOVER_MOST))
+        self._hazard = 0.0
+        # What sleeping components would make of it is not known, so they gain nothing by it.
+        log = np.zeros(len(self.whole))
+        log[self._learned] = self.whole[self._learned]
+        self.begin_segment(t, log_handover, log)
 
     def begin_segment(self, t: float, log_handover: float, log: Array) -> None:
         """From t on it may be another; log (k,): evidence of all until then. Of too many segments the least likely is
