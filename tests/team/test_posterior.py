@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from swarmtrack.messages import AgreedMotion, Announcement
+from swarmtrack.messages import AgreedMotion, Announcement, MotionReport
 from swarmtrack.team.mixture import OwnKnowledge
 from swarmtrack.team.posterior import BearingScan, TeamPosterior
 from swarmtrack.team.track_evidence import Bearing
@@ -27,6 +27,11 @@ def see(posterior, seconds, begin=0.0):
         bearing = Bearing(t, np.zeros(3), np.zeros(2), AHEAD / 8.0, 1e-4, 8.0)
         scan = BearingScan(t, 0, np.zeros(3), {1: bearing}, {})
         posterior.observe(scan, {1}, np.zeros(3), OwnKnowledge(0.1, 0.02))
+
+
+def stands_still(drone_id, t):
+    cov = 1e-4 * np.eye(3)
+    return MotionReport(drone_id, "0000000a", round(t / SCAN_S), t, 0.0, np.zeros(3), cov, np.zeros(3), cov)
 
 
 @pytest.mark.parametrize("place", [AHEAD, 1e5 * AHEAD], ids=["near", "so far that nobody sees it"])
@@ -72,3 +77,27 @@ def test_a_track_whose_name_is_withheld_is_no_other_teammate(posterior):
     posterior.expel(2)
     see(posterior, 4.0, begin=2.0)
     assert posterior.named[1].p[3] < 0.05
+
+
+@pytest.mark.parametrize("missed", [False, True], ids=["in view", "back after a miss"])
+def test_each_segment_has_a_known_past_however_often_teammates_report(posterior, missed):
+    """Else its track could have been one teammate until then, and another track the same at the same time."""
+
+    def fly(begin, end):
+        for k in range(round(begin / SCAN_S), round(end / SCAN_S)):
+            for drone in (2, 3):
+                posterior.teammates[drone].move(stands_still(drone, k * SCAN_S + 0.05))
+            see(posterior, SCAN_S, begin=k * SCAN_S)
+
+    posterior.announce(announcement(2, AHEAD))
+    posterior.announce(announcement(3, np.array([0.0, 8.0, 0.0])))
+    fly(0.0, 4.4)
+    if missed:
+        nothing = BearingScan(4.5, 0, np.zeros(3), {}, {1: 4.5})
+        posterior.observe(nothing, {1}, np.zeros(3), OwnKnowledge(0.1, 0.02))
+        fly(5.4, 6.2)
+    else:
+        fly(4.4, 8.2)
+    begun, column = posterior._tracks[1].segments[1:], posterior.teammates[2].column
+    assert len(begun) > 1
+    assert [int(segment.past.column[0]) for segment in begun] == [column] * len(begun)
