@@ -397,7 +397,7 @@ class TeamPosterior:
             bearing, deviation = scan.bearings[id], compared.deviation
             to = design(compared.place[[i]], bearing.camera - self._start)[0]
             expected = self.mixture.expected_place(mate.drone_id, to)
-            distance = float(np.linalg.norm(expected))
+            distance = max(float(np.linalg.norm(expected)), NEAREST_BOX_M)
             place_var = deviation.sigma[i] ** 2 + deviation.white[i] + float(np.trace(mate.start_cov)) / 3.0
             variance = bearing.variance - BEARING_SIGMA_RAD**2 + place_var / distance**2
             rays[id] = NamedRay(bearing.direction, expected / distance, p, variance)

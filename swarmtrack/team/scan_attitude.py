@@ -2,7 +2,8 @@
 
 An attitude's error turns all rays of a scan alike. Where many tracks have names it is seen in all of them at once, and
 the rest of a ray's error is a third of it. Each ray is turned back by what the others say, not by itself: it is to be
-compared with teammates without having been fitted to one.
+compared with teammates without having been fitted to one. A ray that is farther off than any attitude turns it says
+nothing: its teammate is elsewhere, or another.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from swarmtrack.messages import Array
 from swarmtrack.team.priors import ATTITUDE_LASTING_SIGMA_RAD, BEARING_SIGMA_RAD
 
 _PRIOR_VARIANCE = BEARING_SIGMA_RAD**2 + ATTITUDE_LASTING_SIGMA_RAD**2
+_GATE = 16.0
+"""Squared sigmas, of a ray less what is expected."""
 
 
 class NamedRay(NamedTuple):
@@ -34,8 +37,10 @@ class ScanAttitude:
 
     def __init__(self, rays: Sequence[NamedRay]) -> None:
         d = np.array([ray.direction for ray in rays])
-        weight = np.array([ray.probability / ray.variance for ray in rays])
         off = np.array([ray.expected for ray in rays]) - d
+        variance = np.array([ray.variance for ray in rays])
+        fits = (off**2).sum(axis=1) < _GATE * (variance + _PRIOR_VARIANCE)
+        weight = fits * np.array([ray.probability for ray in rays]) / variance
         # expected = d + θ × d: information of each ray on θ.
         self._each = weight[:, None, None] * (np.eye(3) - d[:, :, None] * d[:, None, :])
         self._said = weight[:, None] * np.cross(d, off)

@@ -47,3 +47,12 @@ def test_a_ray_without_a_name_is_turned_by_all_others():
     turned, _ = ScanAttitude(rays[1:]).turned_back(rays[0].direction, None)
     assert np.linalg.norm(turned - rays[0].expected) < 3.0 * OWN_SIGMA_RAD
     assert np.linalg.norm(rays[0].direction - rays[0].expected) > 3.0 * OWN_SIGMA_RAD
+
+
+def test_a_teammate_that_is_elsewhere_turns_nobody():
+    """Five metres at twenty, and said with a name."""
+    rays = scan(9, np.random.default_rng(4), turn=np.zeros(3))
+    elsewhere = rays[0].expected + np.array([0.0, 0.25, 0.0])
+    liar = rays[0]._replace(expected=elsewhere / np.linalg.norm(elsewhere))
+    turned, _ = ScanAttitude([liar, *rays[1:]]).turned_back(rays[1].direction, 1)
+    assert np.linalg.norm(turned - rays[1].expected) < 4.0 * OWN_SIGMA_RAD
