@@ -28,6 +28,12 @@ class SystemClock:
         return time.time()
 
 
+def utc_offset(clock: Clock) -> float:
+    """What makes UTC of `now` [s], by both clocks at once. Less a `now` from before some work it would be too large by
+    as long as that took, and what is stamped by it late."""
+    return clock.utc() - clock.now()
+
+
 class ManualClock:
     """A clock that is set: for tests, and for recordings processed as fast as they go."""
 

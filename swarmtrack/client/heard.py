@@ -17,7 +17,7 @@ from swarmtrack.client.sight import (
     sight_of,
     strangers_of,
 )
-from swarmtrack.clock import Clock, SystemClock
+from swarmtrack.clock import Clock, SystemClock, utc_offset
 from swarmtrack.messages import PeerArrived, PeerDeparted
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind, Sample
@@ -155,7 +155,7 @@ class HeardTeam:
             case _:
                 order = received.sequence
         freshness = self._freshness.setdefault(sample.key, MessageOrder())
-        utc = sample.arrived + self._clock.utc() - self._clock.now()
+        utc = sample.arrived + utc_offset(self._clock)
         marks = freshness.marks(order, received.t_utc_s, utc)
         self._counters.update(f"{kind}_{mark.replace(' ', '_')}" for mark in marks)
         return drone_id, received, marks

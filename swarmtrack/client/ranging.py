@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from swarmtrack.clock import SystemClock
+from swarmtrack.clock import SystemClock, utc_offset
 from swarmtrack.messages import RangeReport
 from swarmtrack.transport import keys as wire_keys
 from swarmtrack.transport.base import Kind
@@ -100,7 +100,7 @@ class Ranging:
         now = self._clock.now()
         report = RangeReport(self._drone_id, other, now - age_s, t_sigma_s, distance_m, sigma_m)
         sequence = self._said[other] = self._said.get(other, 0) + 1
-        offset = self._clock.utc() - now
+        offset = utc_offset(self._clock)
         payload = codec.encode(range_message(report, self._boot, sequence, offset, now))
         await self._speaker.prepare(other)
         self._speaker.put(other, payload)

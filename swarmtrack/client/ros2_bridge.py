@@ -14,7 +14,7 @@ from swarmtrack.client.axes import Axes
 from swarmtrack.client.freshness import OFF_TIME_S, Mark
 from swarmtrack.client.heard import HeardTeam, Timed
 from swarmtrack.client.swarm import ask_for_cameras
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, utc_offset
 from swarmtrack.errors import TransportError
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import from_quaternion
@@ -211,7 +211,7 @@ class TeamBridge:
         received = self._heard.receive(message, kind, sample)
         if received is None or received[2] & {Mark.REPEATED, Mark.OUT_OF_ORDER}:
             return None
-        arrived = sample.arrived + self._clock.utc() - self._clock.now()
+        arrived = sample.arrived + utc_offset(self._clock)
         stated = received[1].t_utc_s
         return received[1], stated if abs(arrived - stated) <= OFF_TIME_S else arrived
 

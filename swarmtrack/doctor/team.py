@@ -8,7 +8,7 @@ import errno
 from collections import defaultdict
 from dataclasses import replace
 
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, utc_offset
 from swarmtrack.config.drone import DroneConfig
 from swarmtrack.diagnosis.surroundings import NetworkFacts
 from swarmtrack.errors import TransportError
@@ -101,7 +101,7 @@ def _note(
             clocks[address.drone_id].time_of(
                 codec.decode(AnnouncementMessage, sample.payload),
                 arrived=sample.arrived,
-                utc_offset=clock.utc() - clock.now(),
+                utc_offset=utc_offset(clock),
                 tolerance=CLOCKS_AGREE,
             )
 

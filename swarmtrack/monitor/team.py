@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from swarmtrack.cameras.field_of_view import half_angles
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, utc_offset
 from swarmtrack.geometry.rotation import from_quaternion
 from swarmtrack.messages import FOREIGN
 from swarmtrack.monitor.drone_cameras import CameraView, DroneCameras, ViewKey
@@ -217,7 +217,7 @@ class MonitoredTeam:
 
     def utc_of(self, t: float) -> float:
         """t: on our monotonic clock, s."""
-        return t + self._clock.utc() - self._clock.now()
+        return t + utc_offset(self._clock)
 
     @property
     def drones(self) -> tuple[int, ...]:
@@ -384,7 +384,7 @@ class MonitoredTeam:
     def _on_sightings(self, drone: Drone, message: SightingsMessage, arrived: float) -> None:
         if message.boot != drone.boot:
             drone.boot, drone.clock = message.boot, SenderClock()
-        offset = self._clock.utc() - self._clock.now()
+        offset = utc_offset(self._clock)
         t, t_sigma = drone.clock.time_of(
             message, arrived=arrived, utc_offset=offset, tolerance=REPORTED_CLOCKS_AGREE_S
         )

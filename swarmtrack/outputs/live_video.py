@@ -18,7 +18,7 @@ from typing import Protocol
 
 import numpy as np
 
-from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.clock import UTC_SIGMA, Clock, utc_offset
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.rotation import to_quaternion
 from swarmtrack.messages import Image
@@ -92,7 +92,7 @@ class LiveVideo:
         lens = self._lenses[camera]
         view = VideoMessage(
             version=WIRE_VERSION,
-            t_utc_s=float(exposed + self._clock.utc() - self._clock.now()),
+            t_utc_s=float(exposed + utc_offset(self._clock)),
             t_sigma_s=UTC_SIGMA,
             frame=frame,
             width=lens.width,

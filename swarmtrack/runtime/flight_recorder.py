@@ -11,7 +11,7 @@ from functools import partial
 
 import msgspec
 
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, utc_offset
 from swarmtrack.follower import Engagement, LocalSetpoint
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.messages import Frame, Input, LinkStatus, ScanReport, SightingReport, TrackList
@@ -45,7 +45,7 @@ class FlightRecorder:
         self._settings = settings
         self._boot = boot
         self._clock = clock
-        self._utc_offset = clock.utc() - clock.now()
+        self._utc_offset = utc_offset(clock)
         """As it is now, for the whole recording: a wall clock that is set must not fold the time axis."""
         self._thread = RecordingThread(wall, waits=waits)
         self._n = 0

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.clock import UTC_SIGMA, Clock, utc_offset
 from swarmtrack.messages import LinkStatus
 from swarmtrack.outputs import periods
 from swarmtrack.outputs.console import Console
@@ -105,7 +105,7 @@ class TracksPublisher:
     def _send(self, now: float) -> None:
         """The tracks as of now."""
         tracks = self._door.tracks(now)
-        message = tracks_message(tracks, self._sequence + 1, self._clock.utc() - now, UTC_SIGMA)
+        message = tracks_message(tracks, self._sequence + 1, utc_offset(self._clock), UTC_SIGMA)
         try:
             payload = codec.encode(message, short=self._transport.is_narrow)
             if self._transport.publish(Kind.TRACKS, payload):

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeVar
 import msgspec
 from foxglove.messages import CompressedImage, Pose, PoseInFrame, Quaternion, Timestamp, Vector3
 
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, utc_offset
 from swarmtrack.errors import RecordingError
 from swarmtrack.geometry import pose as geometry
 from swarmtrack.geometry.rotation import to_quaternion
@@ -85,7 +85,7 @@ class SwarmRecorder:
     def __init__(self, clock: Clock, team: str) -> None:
         self._clock = clock
         self._team = team
-        self._utc_offset = clock.utc() - clock.now()
+        self._utc_offset = utc_offset(clock)
         self._thread = RecordingThread(clock)
         self._topics: dict[tuple[int, Kind], Topic] = {}
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from swarmtrack.autopilot.notices import Severity
 from swarmtrack.carried.own_place import CarriedNews
-from swarmtrack.clock import UTC_SIGMA, Clock
+from swarmtrack.clock import UTC_SIGMA, Clock, utc_offset
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
 from swarmtrack.identity.news import Astray
@@ -129,7 +129,7 @@ class Teamwork:
         """The pilot has thrown the switch at t [s]: every drone sways by the code from the next full 10 s of UTC
         on.
         """
-        utc = self._clock.utc() - self._clock.now()
+        utc = utc_offset(self._clock)
         for begin in possible_begins(t + utc):
             for drone_id in self._coded:
                 # When others begin is known less well than when we do.
@@ -223,7 +223,7 @@ class Teamwork:
         self._reports += 1
         self._reported, self._reported_at = whom, now
         try:
-            payload = codec.encode(sightings_message(report, self._clock.utc() - now, now))
+            payload = codec.encode(sightings_message(report, utc_offset(self._clock), now))
         except ValueError:  # what no reader would accept is not sent, and must not end the flight
             self._health.drops["unsendable_identities"] += 1
             return
@@ -241,7 +241,7 @@ class Teamwork:
                 continue
             reported_t = report.t
             try:
-                payload = codec.encode(strangers_message(report, self._clock.utc() - now, now))
+                payload = codec.encode(strangers_message(report, utc_offset(self._clock), now))
             except ValueError:
                 self._health.drops["unsendable_strangers"] += 1
                 continue
@@ -259,7 +259,7 @@ class Teamwork:
                 continue
             said_t = report.t
             try:
-                payload = codec.encode(motion_message(report, self._clock.utc() - now, now))
+                payload = codec.encode(motion_message(report, utc_offset(self._clock), now))
             except ValueError:
                 self._health.drops["unsendable_motion"] += 1
                 continue

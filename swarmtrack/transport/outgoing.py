@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, utc_offset
 from swarmtrack.messages import Announcement
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
@@ -173,6 +173,6 @@ class Outgoing:
 
     def _encode(self, announcement: Announcement) -> None:
         now = self._clock.now()
-        data = codec.encode(announcement_message(announcement, self._clock.utc() - now, now))
+        data = codec.encode(announcement_message(announcement, utc_offset(self._clock), now))
         self._encoded = data if self._sign is None else sign_announcement(data, self.key, self._sign)
         self._encoded_at = now

@@ -14,7 +14,7 @@ from collections import Counter, deque
 from collections.abc import AsyncIterator, Callable, Collection, Iterable
 from typing import NamedTuple, TypeVar
 
-from swarmtrack.clock import Clock
+from swarmtrack.clock import Clock, utc_offset
 from swarmtrack.messages import AnnouncementRequested, PeerEvent, PeerExpelled
 from swarmtrack.transport import keys
 from swarmtrack.transport.base import Kind
@@ -360,7 +360,7 @@ class Peers:
     @property
     def _utc_offset(self) -> float:
         """What added to our monotonic time gives UTC, as of now."""
-        return self._clock.utc() - self._clock.now()
+        return utc_offset(self._clock)
 
     def _address(self, key: str) -> keys.Address | None:
         address = keys.parse(key)

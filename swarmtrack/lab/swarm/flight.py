@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from swarmtrack.clock import SystemClock
+from swarmtrack.clock import SystemClock, utc_offset
 from swarmtrack.config.toml.layers import Table
 from swarmtrack.errors import ungrouped
 from swarmtrack.lab.scenarios.files import limits_of, load_scenario, read_scenario
@@ -217,7 +217,7 @@ class _SwarmFlight:
             radio=self._radio_ends(),
             recordings=self._plan.record and self._plan.record.absolute(),
             origin=None if self._flown.outside is None else self._flown.outside.origin,
-            epoch_utc=ready["epoch_s"] + self._clock.utc() - self._clock.now(),
+            epoch_utc=ready["epoch_s"] + utc_offset(self._clock),
             share=self._share_of_detectors(),
         )
         self._note_how_to_listen(ready)
