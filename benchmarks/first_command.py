@@ -63,9 +63,14 @@ class Usage:
                 continue
             pid = int(entry.name)
             with suppress(OSError):
-                if pid not in self.kinds and self.mark not in (entry / "environ").read_bytes():
-                    self.strangers.add(entry.name)
-                    continue
+                if pid not in self.kinds:
+                    environ = (entry / "environ").read_bytes()
+                    if (
+                        environ and self.mark not in environ
+                    ):  # empty: it may just be about to become a program
+                        self.strangers.add(entry.name)
+                    if self.mark not in environ:
+                        continue
                 if self.kinds.get(pid) in (None, "others"):  # it may just be about to become another program
                     self.kinds[pid] = _kind((entry / "cmdline").read_bytes())
                 self.seconds[pid] = cpu_seconds(pid)

@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import json
 import os
+import re
 import secrets
 import socket
 import subprocess
@@ -189,7 +190,8 @@ def test_what_falls_short_of_the_scenarios_limits_fails(judged):
 
 def test_who_is_missing_is_said(judged):
     assert judged.alone.code == 1
-    assert "drone 2 has not announced itself" in judged.alone.err
+    # Within so few seconds a busy machine may not let drone 1 speak either.
+    assert re.search("drone (1, )?2 has not announced itself", judged.alone.err)
     assert "FAILED" in judged.alone.out
 
 
