@@ -287,8 +287,8 @@ class TeamPosterior:
             scans.popleft()
         for id in [id for id in self._tracks if id not in alive]:
             self._end(id, t)
-        if self._watch(scan):
-            # Pasts are of what was compared before.
+        # Pasts are of what was compared before; but a teammate that has just come is compared first.
+        if self._watch(scan) and not self._team_has_changed:
             self._weigh(t)
         compared = self._compare_rounds(scan)
         # A teammate that has just come is new to all.

@@ -53,6 +53,16 @@ def test_a_teammate_that_has_just_come_is_compared_at_once(posterior):
     assert posterior.named[1].p[3] > 0.5
 
 
+def test_a_teammate_that_comes_as_a_track_comes_back_is_compared_at_once(posterior):
+    posterior.announce(announcement(2, np.array([2.0, 0.0, -30.0])))
+    see(posterior, 5.0)
+    nothing = BearingScan(5.1, 0, np.zeros(3), {}, {1: 5.1})
+    posterior.observe(nothing, {1}, np.zeros(3), OwnKnowledge(0.1, 0.02))
+    posterior.announce(announcement(3, AHEAD))
+    see(posterior, SCAN_S, begin=6.2)  # between two rounds
+    assert posterior.named[1].p[3] > 0.5
+
+
 def test_agreed_motions_are_all_kept_whoever_speaks_as_the_drone_and_whenever(posterior):
     def motion(begin, north):
         t = np.array([begin, begin + 10.0])
