@@ -65,11 +65,9 @@ class Usage:
             with suppress(OSError):
                 if pid not in self.kinds:
                     environ = (entry / "environ").read_bytes()
-                    if (
-                        environ and self.mark not in environ
-                    ):  # empty: it may just be about to become a program
-                        self.strangers.add(entry.name)
                     if self.mark not in environ:
+                        if environ:  # empty, it may just be about to become a program
+                            self.strangers.add(entry.name)
                         continue
                 if self.kinds.get(pid) in (None, "others"):  # it may just be about to become another program
                     self.kinds[pid] = _kind((entry / "cmdline").read_bytes())

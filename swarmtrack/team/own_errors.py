@@ -256,9 +256,9 @@ class OwnErrors:
         self.loose = np.array([c.loose for c in each])
         self.mine = np.array([c.ring > 0.0 or own in dict(c.pads) for c in each])
         self._faults = np.array([c.fault.value for c in each])
-        is_shared = self.sigma == SHARED_HEADING_SIGMA_RAD
-        self._as_stated = np.flatnonzero(is_shared) if is_shared.any() else np.zeros(1, int)
-        self._within = SHARED_HEADING_WITHIN_RAD if is_shared.any() else 0.5 * HEADING_CELL_RAD
+        shared = np.flatnonzero(self.sigma == SHARED_HEADING_SIGMA_RAD)
+        self._as_stated = shared if shared.size else np.zeros(1, int)
+        self._within = SHARED_HEADING_WITHIN_RAD if shared.size else 0.5 * HEADING_CELL_RAD
         # The cells that a heading which is not off may be in as well.
         single = [
             c.heading != 0.0 and not c.ring and not c.pads and c.path is not PathTurn.TEAM for c in each
@@ -287,8 +287,8 @@ class OwnErrors:
     def heading_sigma(self, used: NDArray[np.intp], stated: float) -> Array:
         """(len(used),) rad: within the components used. stated [rad]: how well the autopilot says that it knows its
         heading."""
-        alone = used == 0 if len(self._as_stated) == 1 else np.zeros(len(used), bool)
-        return np.where(alone, stated, self.sigma[used])
+        is_one = len(self._as_stated) == 1
+        return np.where((used == 0) & is_one, stated, self.sigma[used])
 
     def mapped_from(self, before: OwnErrors, value: NDArray[Any]) -> NDArray[Any]:
         """(k,) of these components from (k,) of those before; what is new has the first one's."""

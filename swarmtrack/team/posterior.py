@@ -401,9 +401,9 @@ class TeamPosterior:
             place_var = deviation.sigma[i] ** 2 + deviation.white[i] + float(np.trace(mate.start_cov)) / 3.0
             variance = bearing.variance - BEARING_SIGMA_RAD**2 + place_var / distance**2
             rays[id] = NamedRay(bearing.direction, expected / distance, p, variance)
-        attitude, order = ScanAttitude(list(rays.values())), {id: i for i, id in enumerate(rays)}
+        attitude = ScanAttitude(rays)
         return {
-            id: bearing.turned(*attitude.turned_back(bearing.direction, order.get(id)))
+            id: bearing.turned(*attitude.turned_back(id, bearing.direction))
             for id, bearing in scan.bearings.items()
         }
 

@@ -8,7 +8,7 @@ nothing: its teammate is elsewhere, or another.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -35,24 +35,26 @@ class NamedRay(NamedTuple):
 class ScanAttitude:
     """Error of one scan's attitude: what is turned back, and by how much rays are still wrong."""
 
-    def __init__(self, rays: Sequence[NamedRay]) -> None:
-        d = np.array([ray.direction for ray in rays])
-        off = np.array([ray.expected for ray in rays]) - d
-        variance = np.array([ray.variance for ray in rays])
+    def __init__(self, rays: Mapping[int, NamedRay]) -> None:
+        """rays: by track."""
+        self._rows = {track: i for i, track in enumerate(rays)}
+        d, expected, probability, variance = map(np.array, zip(*rays.values(), strict=True))
+        off = expected - d
         fits = (off**2).sum(axis=1) < _GATE * (variance + _PRIOR_VARIANCE)
-        weight = fits * np.array([ray.probability for ray in rays]) / variance
+        weight = fits * probability / variance
         # expected = d + θ × d: information of each ray on θ.
         self._each = weight[:, None, None] * (np.eye(3) - d[:, :, None] * d[:, None, :])
         self._said = weight[:, None] * np.cross(d, off)
         self._information = np.eye(3) / _PRIOR_VARIANCE + self._each.sum(axis=0)
         self._sum = self._said.sum(axis=0)
 
-    def turned_back(self, direction: Array, ray: int | None) -> tuple[Array, float]:
-        """A direction (3,) without this error, and what is left of the error's variance, as a share. ray: its index
-        among those that the error is known by, which does not count then."""
+    def turned_back(self, track: int, direction: Array) -> tuple[Array, float]:
+        """The direction (3,) of a track without this error, and what is left of the error's variance, as a share. Its
+        own ray does not count."""
         information, said = self._information, self._sum
-        if ray is not None:
-            information, said = information - self._each[ray], said - self._said[ray]
+        if track in self._rows:
+            row = self._rows[track]
+            information, said = information - self._each[row], said - self._said[row]
         cov = np.linalg.inv(information)
         turned = direction + hat(cov @ said) @ direction
         left = 0.5 * float(np.trace(cov) - direction @ cov @ direction) / _PRIOR_VARIANCE

@@ -5,7 +5,7 @@ module here. The bytes are not trusted, so they are capped in size before anythi
 by msgspec, then checked for what types cannot say. Anything else is a `DecodeError`, and nothing else is ever raised.
 
 On the wire a time is told twice: as UTC, and as its age when the bytes were made, which no wall clock enters.
-`utc_offset` is `clock.utc_offset` as the bytes are made. Which of the two a reader believes is the
+`utc_offset` is that of `swarmtrack/clock.py` as the bytes are made. Which of the two a reader believes is the
 transport's to decide (`transport/sender_clock.py`); it hands over times on our own clock.
 """
 

@@ -17,7 +17,7 @@ def scan(n, chance, turn=None):
     turn = chance.normal(0.0, BEARING_SIGMA_RAD, 3) if turn is None else turn
     seen = expected - np.cross(turn, expected) + chance.normal(0.0, OWN_SIGMA_RAD, (n, 3))
     seen /= np.linalg.norm(seen, axis=1)[:, None]
-    return [NamedRay(d, u, 1.0, OWN_SIGMA_RAD**2) for d, u in zip(seen, expected, strict=True)]
+    return {k: NamedRay(seen[k], expected[k], 1.0, OWN_SIGMA_RAD**2) for k in range(n)}
 
 
 def test_what_is_left_of_many_rays_is_their_own_error():
@@ -25,8 +25,8 @@ def test_what_is_left_of_many_rays_is_their_own_error():
     for _ in range(200):
         rays = scan(20, chance)
         attitude = ScanAttitude(rays)
-        for i, ray in enumerate(rays):
-            turned, left = attitude.turned_back(ray.direction, i)
+        for track, ray in rays.items():
+            turned, left = attitude.turned_back(track, ray.direction)
             before.append(np.sum((ray.direction - ray.expected) ** 2) / 2.0)
             after.append(np.sum((turned - ray.expected) ** 2) / 2.0)
             assert 0.0 < left < 0.1
@@ -35,24 +35,25 @@ def test_what_is_left_of_many_rays_is_their_own_error():
 
 
 def test_one_ray_says_nothing_of_itself():
-    (ray,) = scan(1, np.random.default_rng(2), turn=np.array([0.0, 0.0, 0.01]))
-    turned, left = ScanAttitude([ray]).turned_back(ray.direction, 0)
-    assert turned == pytest.approx(ray.direction)
+    rays = scan(1, np.random.default_rng(2), turn=np.array([0.0, 0.0, 0.01]))
+    turned, left = ScanAttitude(rays).turned_back(0, rays[0].direction)
+    assert turned == pytest.approx(rays[0].direction)
     assert left == pytest.approx(1.0)
 
 
 def test_a_ray_without_a_name_is_turned_by_all_others():
     chance, turn = np.random.default_rng(3), np.array([0.008, -0.006, 0.012])
     rays = scan(21, chance, turn=turn)
-    turned, _ = ScanAttitude(rays[1:]).turned_back(rays[0].direction, None)
-    assert np.linalg.norm(turned - rays[0].expected) < 3.0 * OWN_SIGMA_RAD
-    assert np.linalg.norm(rays[0].direction - rays[0].expected) > 3.0 * OWN_SIGMA_RAD
+    ray = rays.pop(0)
+    turned, _ = ScanAttitude(rays).turned_back(0, ray.direction)
+    assert np.linalg.norm(turned - ray.expected) < 3.0 * OWN_SIGMA_RAD
+    assert np.linalg.norm(ray.direction - ray.expected) > 3.0 * OWN_SIGMA_RAD
 
 
 def test_a_teammate_that_is_elsewhere_turns_nobody():
     """Five metres at twenty, and said with a name."""
     rays = scan(9, np.random.default_rng(4), turn=np.zeros(3))
     elsewhere = rays[0].expected + np.array([0.0, 0.25, 0.0])
-    liar = rays[0]._replace(expected=elsewhere / np.linalg.norm(elsewhere))
-    turned, _ = ScanAttitude([liar, *rays[1:]]).turned_back(rays[1].direction, 1)
+    rays[0] = rays[0]._replace(expected=elsewhere / np.linalg.norm(elsewhere))
+    turned, _ = ScanAttitude(rays).turned_back(1, rays[1].direction)
     assert np.linalg.norm(turned - rays[1].expected) < 4.0 * OWN_SIGMA_RAD

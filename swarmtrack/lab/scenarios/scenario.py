@@ -521,14 +521,11 @@ class Ring(Section):
         along, across = (1.3 * radius, 0.75 * radius) if n == 4 else (radius, radius)
         angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
         heights = self.heights_m
-        off = np.random.default_rng(n).uniform(-self.uneven_m, self.uneven_m, (n, 2))
+        off = np.zeros((n, 3))
+        off[:, :2] = np.random.default_rng(n).uniform(-self.uneven_m, self.uneven_m, (n, 2))
         return [
-            Station(
-                np.array(
-                    [along * math.cos(a) + north, across * math.sin(a) + east, -heights[k % len(heights)]]
-                )
-            )
-            for k, (a, (north, east)) in enumerate(zip(angle.tolist(), off.tolist(), strict=True))
+            Station(off[k] + (along * math.cos(a), across * math.sin(a), -heights[k % len(heights)]))
+            for k, a in enumerate(angle)
         ]
 
 
