@@ -123,7 +123,8 @@ class OwnPlace:
         """By camera, when its scan was compared last, s."""
         self._placed_t = -math.inf
         """When the autopilot last knew a position, s."""
-        self._fitted = 0
+        self._fitted = self._fitted_as_configured = 0
+        """Rays that fitted while all positions were sound; and of these, while names found nothing wrong."""
         self._is_suspect = self._adrift = False
         """Whether the autopilot's position may be wrong; and whether it surely is."""
         self._was_held = False
@@ -222,8 +223,11 @@ class OwnPlace:
             and not found.hear_autopilot(own.position, OWN_PLACE_WHITE_M**2)
         ):
             self.refused += 1
+        before_fitted = self._fitted
         for drone, ray in rays.items():
             self._fold(drone, ray)
+        if team.p_as_configured() > P_CONFIGURED:
+            self._fitted_as_configured += self._fitted - before_fitted
         if is_placed:
             self._watch(own.position, team)
         self._hold()
@@ -304,9 +308,10 @@ class OwnPlace:
         assert found is not None
         if not self._is_suspect:
             held = any(anchor.holds(found.t) for anchor in self._anchors.values())
-            may_be = held and self._fitted >= FITTED_RAYS and found.weights[1] > P_SUSPECT
-            # Wrong pads, headings and starts are no drift: names allow for them.
-            self._is_suspect = may_be and team.p_as_configured() > P_CONFIGURED
+            # Wrong pads, headings and starts are no drift: names allow for them. They are wrong from the beginning, so
+            # what begins after all has fitted is none of them, whatever names make of it.
+            was_right = self._fitted_as_configured >= FITTED_RAYS
+            self._is_suspect = held and was_right and found.weights[1] > P_SUSPECT
             self._misfit_t = found.t
             if found.weights[1] < P_SOUND or self._sound is None:
                 self._sound = found.moments(AUTOPILOT_OFFSET)

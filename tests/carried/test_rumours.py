@@ -145,3 +145,35 @@ def test_of_many_teammates_the_first_hold_and_others_take_the_place_of_the_lost(
 
     assert see(0.0, 3.0, ids) == tuple(ids)[:ANCHORS_MOST]
     assert see(3.0, 6.0, ids[4:]) == tuple(ids)[4:]
+
+
+@pytest.mark.parametrize("begins", [3.0, 0.0])
+def test_a_drift_is_told_from_a_wrong_start_by_when_it_begins(begins: float) -> None:
+    """Names take either for a start that is off: a drift that begins when all has fitted is none."""
+    places = {
+        drone: np.array(place) for drone, place in ((2, [8.0, 0, 0]), (3, [0, 8.0, 0]), (4, [-6.0, 5.0, 0]))
+    }
+
+    class Doubting:
+        def __init__(self, t: float) -> None:
+            self._p = 0.95 if t < begins + 0.5 else 0.02
+
+        def said_place(self, drone_id: int, t: float) -> SaidPlace | None:
+            return SaidPlace(places[drone_id], 0.0, 1.0, 1e-3)
+
+        def p_as_configured(self) -> float:
+            return self._p
+
+    found = OwnPlace(US, WIDTH, cameras=[np.zeros(3)], start_sigma_m=0.05)
+    for drone, place in places.items():
+        found.announce(Announcement(drone, "0" * 8, 1, 0.0, 0.0, place, EYE, 0.01 * EYE))
+    rays = np.array([place / np.linalg.norm(place) for place in places.values()])
+    widths = np.array([WIDTH.width_m / float(np.linalg.norm(place)) for place in places.values()])
+    keys = tuple((drone, 10 + drone) for drone in places)
+    for k in range(90):
+        t = 0.1 * k
+        # Half a metre per second, or three metres from the beginning on.
+        off = np.array([0.5 * (t - begins) * (t > begins), 0.0, 0.0]) if begins else np.array([3.0, 0.0, 0.0])
+        seen = TeamLook(t, off, np.zeros(3), keys, rays, np.tile(1e-5 * EYE, (3, 1, 1)), widths, np.ones(3))
+        found.observe(seen, 0, TeamPose(t, off, EYE, 0.01 * EYE, 1e-4 * EYE), t, Doubting(t))
+    assert found.is_suspect == (begins > 0.0)
