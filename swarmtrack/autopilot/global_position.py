@@ -100,8 +100,13 @@ class GlobalPosition:
 
     def place(self, t: float, m: Any) -> tuple[Array, Array] | None:
         """Position (3,) m and velocity (3,) m/s, north, east, down, from the GLOBAL_POSITION_INT that came at t; or
-        None.
+        None, also without a fix.
         """
+        stated = self.stated(t, m)
+        return None if self.lack(t) else stated
+
+    def stated(self, t: float, m: Any) -> tuple[Array, Array] | None:
+        """The same, whatever the receivers say: what the estimator flies by."""
         place = Geodetic.from_degrees(1e-7 * m.lat, 1e-7 * m.lon, 1e-3 * m.alt)
         position = to_ned(place, self._origin)
         away = float(np.linalg.norm(position))
@@ -112,4 +117,4 @@ class GlobalPosition:
         elif away > GPS_FARTHEST_FROM_ORIGIN_M:
             expected = f"expected at most {GPS_FARTHEST_FROM_ORIGIN_M * 1e-3:.0f} km"
             self._place_lack = f"{away * 1e-3:.0f} km from the team's origin, {expected}"
-        return None if self.lack(t) else (position, 1e-2 * np.array((m.vx, m.vy, m.vz)))
+        return None if self._place_lack else (position, 1e-2 * np.array((m.vx, m.vy, m.vz)))

@@ -57,9 +57,9 @@ class EchoPx4(Echo, FakePx4):
 class Feeding:
     """A flight of 20 ms steps in which the drone is held by teammates, or not."""
 
-    def __init__(self, vehicle, **parameters):
+    def __init__(self, vehicle, *, gps=None, **parameters):
         self.vehicle, self.watch = vehicle, FedPosition()
-        self.flight = Flight(vehicle, fed=self.watch)
+        self.flight = Flight(vehicle, fed=self.watch, gps=gps)
         self.position, self.sigma, self.age, self.lost = HERE.copy(), 0.2, 0.0, True
         self.said = []
         parameters = FeedParameters(**parameters)
@@ -248,16 +248,7 @@ def test_other_texts_select_nothing():
 async def test_of_a_drone_that_knows_itself_by_gps_the_local_frame_is_learned():
     """Its positions are in the team frame; the place is fed in the frame of LOCAL_POSITION_NED."""
     vehicle = EchoArduPilot()
-    feeding = Feeding(vehicle)
-    feeding.flight = Flight(vehicle, fed=feeding.watch, gps=GlobalPosition(PLACE))
-    feeding.feed = PlaceFeed(
-        feeding,
-        feeding.flight.unit,
-        feeding.watch,
-        feeding,
-        clock=feeding.flight.clock,
-        parameters=FeedParameters(),
-    )
+    feeding = Feeding(vehicle, gps=GlobalPosition(PLACE))
     # It stands 10 m north of the team's origin, and its local frame began 3 m further east.
     vehicle.gps = GpsFix(from_ned(np.array([10.0, 0.0, -6.0]), PLACE), 0.8)
     vehicle.position = np.array([10.0, -3.0, -6.0])
@@ -269,6 +260,25 @@ async def test_of_a_drone_that_knows_itself_by_gps_the_local_frame_is_learned():
         feeding.fly(2.0)
         m = vehicle.fed()[-1]
         assert (m.x, m.y, m.z) == pytest.approx((HERE[0], HERE[1] - 3.0, HERE[2]), abs=0.05)
+
+
+async def test_by_gps_too_it_flies_by_the_place_that_it_was_fed():
+    """The guard checks set points against where the autopilot says the drone is. Without a fix that was nowhere: a
+    real ArduCopter was released two seconds after its GPS had gone."""
+    feeding = Feeding(EchoArduPilot(), gps=GlobalPosition(PLACE))
+    feeding.vehicle.gps = GpsFix(from_ned(np.array([10.0, 0.0, -6.0]), PLACE), 0.8)
+    feeding.vehicle.position = np.array([10.0, 0.0, -6.0])
+    feeding.lost = False
+    async with feeding.flight:
+        feeding.fly(3.0)
+        lost_at = feeding.now
+        feeding.lost, feeding.vehicle.gps = True, None
+        feeding.vehicle.globe = from_ned(HERE, PLACE)
+        feeding.fly(3.0)
+        arrived, place = feeding.flight.unit.place
+        assert arrived > lost_at + 2.0
+        assert place == pytest.approx(HERE, abs=0.1)
+        assert feeding.poses[-1].position is None
 
 
 AGENT = """

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from pymavlink.dialects.v20 import common
 
+from swarmtrack.geometry.geodesy import Geodetic
 from swarmtrack.lab.autopilots.autopilot import SimulatedArduPilot, SimulatedVehicle
 from swarmtrack.lab.autopilots.channel import Channel
 from swarmtrack.lab.autopilots.px4 import SimulatedPx4
@@ -47,6 +48,8 @@ class FakeVehicle(SimulatedVehicle):
         self.position = np.array((1.0, 2.0, -3.0))
         self.velocity = np.zeros(3)
         self.gps: GpsFix | None = None
+        self.globe: Geodetic | None = None
+        """Where it believes to be without a fix."""
         self.ground: float | None = None  # m, by a range finder
         self.commands: list[tuple[int, float]] = []  # (message id, interval in µs) as asked
         self.streams_asked: list[int] = []  # REQUEST_DATA_STREAM
@@ -66,7 +69,8 @@ class FakeVehicle(SimulatedVehicle):
         """Where it is, is told by the test."""
 
     def at(self, t: float) -> SensedState:
-        return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps, self.ground)
+        globe = self.gps.place if self.gps else self.globe
+        return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps, globe, self.ground)
 
     def inertial(self, t: float) -> Inertial:
         return Inertial(self.gyro, self.accel)

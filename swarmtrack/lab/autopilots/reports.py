@@ -52,8 +52,8 @@ def _local_position(stamp: float, sensed: SensedState) -> Any:
 
 
 def _global_position(stamp: float, sensed: SensedState) -> Any:
-    """Without a fix at 0° N 0° E, as ArduPilot."""
-    place = sensed.gps.place if sensed.gps else Geodetic(0.0, 0.0, 0.0)
+    """Before it knows anything at 0° N 0° E, as ArduPilot."""
+    place = sensed.globe or Geodetic(0.0, 0.0, 0.0)
     down = 0 if sensed.position is None else -round(1e3 * sensed.position[2])
     return common.MAVLink_global_position_int_message(
         _ms(stamp), *_degrees_and_millimetres(place), down, *_centimetres(sensed.velocity), UNKNOWN_HEADING

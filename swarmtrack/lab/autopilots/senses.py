@@ -39,8 +39,9 @@ class Inertial(NamedTuple):
 
 class SensedState(NamedTuple):
     """gyro (3,) rad/s and accel (3,) m/s², body FRD; q (w, x, y, z) world_from_body; position (3,) m, None while it
-    knows none, and velocity (3,) m/s in the autopilot's local frame, NED; gps: None while there is no fix; ground [m]:
-    along the downward beam of its range finder, None where it has none or finds nothing."""
+    knows none, and velocity (3,) m/s in the autopilot's local frame, NED; gps: None while there is no fix; globe: where
+    its estimator believes to be on the Earth, by whatever it goes, None where it knows nothing; ground [m]: along the
+    downward beam of its range finder, None where it has none or finds nothing."""
 
     gyro: Array
     accel: Array
@@ -48,6 +49,7 @@ class SensedState(NamedTuple):
     position: Array | None
     velocity: Array
     gps: GpsFix | None = None
+    globe: Geodetic | None = None
     ground: float | None = None
 
 
@@ -176,13 +178,16 @@ class DroneSenses:
         position, attitude = self._ego.estimate(motion, world_t, white[2:])
         off = np.zeros(3) if self._is_own(t) else self._external.off(t)
         walk, walking = self._ego.walk(world_t)
+        gps = self._fix(motion.position + walk) if self._has_fix(t) else None
+        external = None if off is None else self._fix(motion.position + walk + off)
         return SensedState(
             gyro=gyro,
             accel=accel,
             q=np.array(_quaternion(attitude)),
             position=None if off is None else position + off,
             velocity=motion.velocity + walking,
-            gps=self._fix(motion.position + walk) if self._has_fix(t) else None,
+            gps=gps,
+            globe=gps.place if gps else external.place if external else None,
             ground=self._below(-float(motion.position[2]), float(motion.attitude[2, 2])),
         )
 

@@ -13,7 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Annotated, NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -304,6 +304,7 @@ class Scenario:
     woke before. All cameras of a drone stamp alike. announces: whether the drones tell each other anything; where they
     do not, all know `announced` from a file, and codes_s is when all sway by their codes [s].
     share_hz: how often they tell how they move; None: never. formation: who follows whom by sight; None: nobody.
+    feed: `autopilot.feed` of their configs.
     from_take_off: whether `seconds`, and the formation's times, count from when the first drone left the ground.
     ghosts are for detectors that are not shown pictures; the pictures have houses, poles and trees.
     """
@@ -320,6 +321,7 @@ class Scenario:
     announced: Mapping[int, AnnouncedStart] = field(default_factory=dict)
     announces: bool = True
     share_hz: float | None = None
+    feed: Literal["none", "odometry"] = "none"
     codes_s: tuple[float, ...] = ()
     strangers: frozenset[int] = frozenset()
     starts_s: Mapping[int, float] = field(default_factory=dict)

@@ -124,7 +124,7 @@ clutter_per_scan = 1.0              # false detections expected in one frame
 {"" if tracker == "mbm" else GENTLY}
 [autopilot]
 imu_rate_hz = {scenario.imu_rate_hz:g}
-
+{"" if scenario.feed == "none" else f"feed = {_text(scenario.feed)}"}
 [output]
 tracks_hz = {scenario.tracks_hz:g}
 """

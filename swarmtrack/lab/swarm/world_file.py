@@ -121,6 +121,9 @@ class WorldAgentsSection(Section):
         default=None,
         description="rate of motion reports; by default 5 Hz in formation, else none",
     )
+    feed: Literal["none", "odometry"] = Field(
+        default="none", description="autopilot.feed of the agents' configs (docs/feeding.md)"
+    )
 
 
 class WorldFormationSection(TeamFormation):
@@ -349,6 +352,7 @@ def _scenario(name: str, file: WorldFile, seed: int | None, outsiders: dict[int,
         imu_rate_hz=file.agents.imu_rate_hz,
         tracks_hz=file.agents.tracks_hz,
         share_hz=share_hz,
+        feed=file.agents.feed,
         detector=DetectorParameters(**file.detector.parameters),
         strangers=frozenset(drone.id for drone in file.intruder),
         formation=formation,
