@@ -378,7 +378,11 @@ class Telemetry:
             self._take_place(t, step, StampedPlace(stamp, *place))
         elif step in NEW_STAMPS:
             self.positions.pass_over(NO_FIX)
-            if self._fed is not None and self._fed.rests(t) and (stated := self._gps.stated(t, m)) is not None:
+            if (
+                self._fed is not None
+                and self._fed.rests(t)
+                and (stated := self._gps.stated(t, m)) is not None
+            ):
                 self._flown_by = t, stated[0]
 
     def _on_fix(self, t: float, m: Any) -> None:

@@ -172,7 +172,7 @@ class JointMixture:
         nobody, ratio = log_ratios(base, each)
         ratio = ratio.reshape(len(tracks), len(used), len(mates))
         log_w = log_w + sum(nobody, np.zeros(len(used)))
-        once = each_past_once(ratio, nobody, pasts, each)
+        once = each_past_once(ratio, nobody, pasts, each, [track.since for track in tracks])
         kept, P = self._match(once.swapaxes(0, 1), log_w, used, off)
         self._let_pairs_sleep(tracks, mates, ratio[:, self._log_weight[used] > LOG_SLEEPS], P)
         for track, p in zip(tracks, P, strict=True):

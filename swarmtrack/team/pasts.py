@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from swarmtrack.messages import Array
 from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.matchings import log_parts
+from swarmtrack.team.priors import SEGMENT_LEAST_S
 
 COLUMN_OF_NOBODY = -1
 
@@ -88,25 +89,47 @@ def _anybody_but(column: int | NDArray[np.intp], each: Array) -> Array:
 
 
 def each_past_once(
-    ratio: Array, none: Sequence[Array], pasts: Sequence[Past], each: Sequence[Array]
+    ratio: Array, none: Sequence[Array], pasts: Sequence[Past], each: Sequence[Array], since: Sequence[Array]
 ) -> Array:
     """Log ratios (n, k, m) of tracks and teammates, in which no teammate has two tracks at one time of the past.
 
-    A track that was a teammate and is something else now leaves another track no more than the time since then; and if
-    the other was that teammate all the time, the one was something else. none (k,), each (s, k, m): by track, as of
-    `log_ratios`.
+    A track that was a teammate and is something else now leaves another track no more than the time since then: who
+    claims more than that makes it pay for having been something else all the time. none (k,), each (s, k, m): by track,
+    as of `log_ratios`; since (s,) s: when its segments begin, in order.
     """
-    more = np.zeros_like(ratio)
-    for i, (past, e) in enumerate(zip(pasts, each, strict=True)):
-        for c in np.unique(past.column[past.column != COLUMN_OF_NOBODY]).tolist():
-            now = _anybody_but(c, e)
-            lost = log_sum(past.without(c) + now, 0)
-            lost -= log_sum(past.log + now, 0)
-            more[:, :, c] += lost
-            more[i, :, c] -= lost
+    costs = [_cost_of_claims(past, e) for past, e in zip(pasts, each, strict=True)]
+    claimed = sorted({c for cost in costs for c in cost})
+    if not claimed:
+        return ratio
+    n, most = len(pasts), max(len(past.log) for past in pasts)
+    # A handover is known no better than segments begin.
+    begins = np.full((n, most), np.inf)
+    claims = np.full((n, most, ratio.shape[1], len(claimed)), -np.inf)
+    for h, (past, e) in enumerate(zip(pasts, each, strict=True)):
+        begins[h, : len(e)] = since[h] + SEGMENT_LEAST_S
+        claims[h, : len(e)] = past.log[:, :, None] + e[:, :, claimed] - none[h][:, None]
+    for i, cost in enumerate(costs):
+        later = np.searchsorted(since[i], begins, side="right")
+        later[i] = len(since[i])
+        for c, lost in cost.items():
+            claims[..., claimed.index(c)] += lost[later]
     once = ratio.copy()
-    for h, c in np.argwhere(more.min(axis=1, initial=0.0) < 0.0).tolist():
-        claims = pasts[h].log + each[h][:, :, c] - none[h]
-        late = log_sum(claims[1:], 0)
-        once[h, :, c] = np.logaddexp(claims[0] + more[h, :, c], late)
+    once[:, :, claimed] = log_sum(claims, 1)
     return once
+
+
+def _cost_of_claims(past: Past, each: Array) -> dict[int, Array]:
+    """What a track pays if another claims a teammate that it was: by column, (s + 1, k) of a claim from each of its
+    segments on; the last is 0, of one from after all of them. Without those that cost nothing."""
+    found = {}
+    for c in np.unique(past.column[past.column != COLUMN_OF_NOBODY]).tolist():
+        now = _anybody_but(c, each)
+        was, other = past.log + now, past.without(c) + now
+        rows = np.arange(len(was))
+        left = np.where(
+            rows[:, None, None] < np.arange(len(was) + 1)[None, :, None], was[:, None], other[:, None]
+        )
+        lost = log_sum(left, 0) - log_sum(was, 0)
+        if lost.min() < 0.0:
+            found[c] = lost
+    return found

@@ -440,6 +440,11 @@ class TrackEvidence:
             self._go_over(math.nextafter(self.t, math.inf))
 
     @property
+    def since(self) -> Array:
+        """(s,) s: when its segments began."""
+        return np.array([self._begun_t, *(segment.since for segment in self.segments[1:])])
+
+    @property
     def _newest_since(self) -> float:
         newest = self.segments[-1].since
         return newest if math.isfinite(newest) else self._begun_t

@@ -70,7 +70,9 @@ class FakeVehicle(SimulatedVehicle):
 
     def at(self, t: float) -> SensedState:
         globe = self.gps.place if self.gps else self.globe
-        return SensedState(self.gyro, self.accel, self.q, self.position, self.velocity, self.gps, globe, self.ground)
+        return SensedState(
+            self.gyro, self.accel, self.q, self.position, self.velocity, self.gps, globe, self.ground
+        )
 
     def inertial(self, t: float) -> Inertial:
         return Inertial(self.gyro, self.accel)
