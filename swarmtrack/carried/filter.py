@@ -51,6 +51,7 @@ _EACH: Final = 7
 _WALKS: Final = np.array([TILT_WALK_RAD_SQRT_S, TILT_WALK_RAD_SQRT_S, TURN_WALK_RAD_SQRT_S]) ** 2
 _LOG_2PI: Final = math.log(2.0 * math.pi)
 _EYE: Final = np.eye(3)
+NO_PUSH: Final = np.zeros(3)
 
 
 class OwnRay(NamedTuple):
@@ -155,8 +156,9 @@ class OwnPlaceFilter:
 
     # --- time ---
 
-    def predict(self, t: float) -> None:
-        """To t [s], not before the filter's time."""
+    def predict(self, t: float, push: Array = NO_PUSH) -> None:
+        """To t [s], not before the filter's time. push (3,) m/s²: what the velocity has gained per second, by the
+        tilt."""
         dt, self.t = t - self.t, t
         if dt <= 0.0:
             return
@@ -167,6 +169,8 @@ class OwnPlaceFilter:
         for i in (0, 1, 2):
             F[i, 3 + i], F[3 + i, 3 + i] = unit.phi, unit.left
         self._x = self._x @ F.T
+        self._x[:, OWN_PLACE] += 0.5 * dt**2 * push
+        self._x[:, OWN_SPEED] += dt * push
         self._P = F @ self._P @ F.T
         self._P += self._noise(dt, unit.pp, unit.pv, unit.vv)
 

@@ -19,6 +19,7 @@ import numpy as np
 
 from swarmtrack.carried.filter import (
     AUTOPILOT_OFFSET,
+    NO_PUSH,
     OWN_PLACE,
     OWN_SPEED,
     OWN_TURN,
@@ -54,6 +55,7 @@ from swarmtrack.carried.priors import (
     REPORTED_RAY_WHITE_RAD,
     SOUND_AGAIN_S,
 )
+from swarmtrack.carried.thrust import TiltedThrust
 from swarmtrack.messages import Announcement, Array, SightingReport
 from swarmtrack.motion.carried_place import CarriedPlace
 from swarmtrack.motion.ego import TeamPose
@@ -118,6 +120,7 @@ class OwnPlace:
         self._p = parameters
         self._start_var = start_sigma_m**2
         self._filter: OwnPlaceFilter | None = None
+        self._thrust = TiltedThrust()
         self._anchors: dict[int, _Anchor] = {}
         self._compared: dict[int, float] = {}
         """By camera, when its scan was compared last, s."""
@@ -215,7 +218,9 @@ class OwnPlace:
                 return
             self._filter = _begun(own, look.velocity, self._start_var)
         found = self._filter
-        found.predict(max(t, found.t))
+        push = self._thrust.push(t, own.world_from_body)
+        # Without any holder what tilts say adds up, and nothing corrects it.
+        found.predict(max(t, found.t), push if self._was_held else NO_PUSH)
         self._placed_t = -math.inf if newest is None else newest
         if (
             is_placed
