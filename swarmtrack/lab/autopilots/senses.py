@@ -179,7 +179,7 @@ class DroneSenses:
         off = np.zeros(3) if self._is_own(t) else self._external.off(t)
         walk, walking = self._ego.walk(world_t)
         gps = self._fix(motion.position + walk) if self._has_fix(t) else None
-        external = None if off is None else self._fix(motion.position + walk + off)
+        believed = gps if gps or off is None else self._fix(motion.position + walk + off)
         return SensedState(
             gyro=gyro,
             accel=accel,
@@ -187,7 +187,7 @@ class DroneSenses:
             position=None if off is None else position + off,
             velocity=motion.velocity + walking,
             gps=gps,
-            globe=gps.place if gps else external.place if external else None,
+            globe=believed.place if believed else None,
             ground=self._below(-float(motion.position[2]), float(motion.attitude[2, 2])),
         )
 
