@@ -162,8 +162,6 @@ class Telemetry:
         self._pose_from = ATTITUDE_QUATERNION
         self._quaternion_at = self._euler_at = self._local_at = -math.inf
         self._position: StampedPlace | None = None
-        self._flown_by: tuple[float, Array] | None = None
-        """When the newest position by which it flies came, and that (3,) m: one that rests on ours as well."""
         self._below: tuple[float, float] | None = None
 
     def _make_readers(self) -> dict[int, Callable[[float, Any], None]]:
@@ -206,10 +204,10 @@ class Telemetry:
     def place(self) -> tuple[float, tuple[float, float, float]] | None:
         """Arrival of the newest position, and the position itself, NED [m], from the autopilot or its GPS; also of one
         that rests on ours: it is the one by which the autopilot flies."""
-        if self._flown_by is None:
+        if self._position is None:
             return None
-        north, east, down = self._flown_by[1].tolist()
-        return self._flown_by[0], (north, east, down)
+        north, east, down = self._position.position.tolist()
+        return self._placed_at, (north, east, down)
 
     def lack(self, now: float) -> str:
         """Why there is no position although a start by GPS needs one; empty otherwise."""
@@ -373,17 +371,13 @@ class Telemetry:
         step, stamp = self._position_step(t, m)
         if step in (None, StampStep.OTHER):
             return
-        place = self._gps.place(t, m)
+        # It flies by one that rests on ours without a fix, too.
+        rests = self._fed is not None and self._fed.rests(t)
+        place = self._gps.stated(t, m) if rests else self._gps.place(t, m)
         if place is not None:
             self._take_place(t, step, StampedPlace(stamp, *place))
         elif step in NEW_STAMPS:
             self.positions.pass_over(NO_FIX)
-            if (
-                self._fed is not None
-                and self._fed.rests(t)
-                and (stated := self._gps.stated(t, m)) is not None
-            ):
-                self._flown_by = t, stated[0]
 
     def _on_fix(self, t: float, m: Any) -> None:
         for each in (self._gps, self._fed):
@@ -427,7 +421,7 @@ class Telemetry:
             self.senders.compare(t, places_apart, place, places_apart)
         if step in NEW_STAMPS:
             self.positions.used += 1
-            self._position, self._placed_at, self._flown_by = place, t, (t, place.position)
+            self._position, self._placed_at = place, t
 
     def _on_quaternion(self, t: float, m: Any) -> None:
         attitude = _from_quaternion((m.q1, m.q2, m.q3, m.q4))
@@ -611,7 +605,7 @@ class Telemetry:
         self._pose_map.reset()
         self._other_stamps = 0
         self.cadence.reset()
-        self._position = self._below = self._flown_by = None
+        self._position = self._below = None
         if self._fed is not None:
             self._fed.restart()
         if self._gps is not None:

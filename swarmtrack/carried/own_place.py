@@ -228,11 +228,10 @@ class OwnPlace:
             and not found.hear_autopilot(own.position, OWN_PLACE_WHITE_M**2)
         ):
             self.refused += 1
-        before_fitted = self._fitted
-        for drone, ray in rays.items():
-            self._fold(drone, ray)
-        if team.p_as_configured() > P_CONFIGURED:
-            self._fitted_as_configured += self._fitted - before_fitted
+        fitted = sum([self._fold(drone, ray) for drone, ray in rays.items()])
+        self._fitted += fitted
+        if fitted and not self._was_right and team.p_as_configured() > P_CONFIGURED:
+            self._fitted_as_configured += fitted
         if is_placed:
             self._watch(own.position, team)
         self._hold()
@@ -262,30 +261,35 @@ class OwnPlace:
             )
         return rays
 
-    def _fold(self, drone: int, ray: OwnRay) -> None:
+    @property
+    def _was_right(self) -> bool:
+        return self._fitted_as_configured >= FITTED_RAYS
+
+    def _fold(self, drone: int, ray: OwnRay) -> bool:
+        """Returns whether it fitted, all positions being sound."""
         found, anchor = self._filter, self._anchors[drone]
         assert found is not None
         if drone not in found:
             if len(found) >= ANCHORS_MOST:
                 gone = min(found, key=lambda other: self._anchors[other].last_t)
                 if self._anchors[gone].holds(found.t):
-                    return
+                    return False
                 found.remove_teammate(gone)
             found.add_teammate(drone, anchor.place_var * _EYE, self._p.lasting)
         distance = float(np.linalg.norm(ray.said - found.moments(OWN_PLACE).mean))
         if math.isfinite(ray.log_range):
             distance = math.exp(ray.log_range)
         if distance < NEAREST_ANCHOR_M:
-            return
+            return False
         if found.is_vague(distance):
             if not math.isfinite(ray.log_range):
-                return
+                return False
             found.begin_at(drone, ray)
         elif not found.see(drone, ray):
             self.refused += 1
-            return
+            return False
         anchor.seen_t = found.t
-        self._fitted += found.weights[0] > 0.9
+        return bool(found.weights[0] > 0.9)
 
     def _hold(self) -> None:
         """Does anybody hold this drone?"""
@@ -315,8 +319,7 @@ class OwnPlace:
             held = any(anchor.holds(found.t) for anchor in self._anchors.values())
             # Wrong pads, headings and starts are no drift: names allow for them. They are wrong from the beginning, so
             # what begins after all has fitted is none of them, whatever names make of it.
-            was_right = self._fitted_as_configured >= FITTED_RAYS
-            self._is_suspect = held and was_right and found.weights[1] > P_SUSPECT
+            self._is_suspect = held and self._was_right and found.weights[1] > P_SUSPECT
             self._misfit_t = found.t
             if found.weights[1] < P_SOUND or self._sound is None:
                 self._sound = found.moments(AUTOPILOT_OFFSET)

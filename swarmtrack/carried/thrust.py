@@ -11,9 +11,8 @@ import math
 import numpy as np
 
 from swarmtrack.carried.priors import PUSH_KNOWN_S, STEADY_PUSH_S, TILT_PUSHES_LEAST
+from swarmtrack.geometry.geodesy import STANDARD_GRAVITY_M_S2
 from swarmtrack.messages import Array
-
-GRAVITY_M_S2 = 9.80665
 
 
 class TiltedThrust:
@@ -26,7 +25,7 @@ class TiltedThrust:
     def push(self, t: float, world_from_body: Array) -> Array:
         """(3,) m/s² NED, on average since the last attitude; world_from_body (3, 3): at t [s]."""
         north, east, upright = world_from_body[:, 2].tolist()
-        share = -GRAVITY_M_S2 / max(upright, TILT_PUSHES_LEAST)
+        share = -STANDARD_GRAVITY_M_S2 / max(upright, TILT_PUSHES_LEAST)
         now = np.array([share * north, share * east, 0.0])
         if math.isnan(self._t):
             self._steady = now

@@ -176,10 +176,11 @@ class DroneSenses:
         white = self._white(round(world_t * 1e3))
         gyro, accel = self._imu.measure(world_t, white[:2])
         position, attitude = self._ego.estimate(motion, world_t, white[2:])
-        off = np.zeros(3) if self._is_own(t) else self._external.off(t)
+        is_own = self._is_own(t)
+        off = np.zeros(3) if is_own else self._external.off(t)
         walk, walking = self._ego.walk(world_t)
         gps = self._fix(motion.position + walk) if self._has_fix(t) else None
-        believed = gps if gps or off is None else self._fix(motion.position + walk + off)
+        believed = gps if is_own or off is None else self._fix(motion.position + walk + off)
         return SensedState(
             gyro=gyro,
             accel=accel,
