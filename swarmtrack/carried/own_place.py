@@ -11,7 +11,7 @@ whom they lean. A teammate whose place leans on this drone is no evidence of whe
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -240,10 +240,12 @@ class OwnPlace:
         self, look: TeamLook, camera: int, own: TeamPose, team: TeamKnowledge, dt: float
     ) -> dict[int, OwnRay]:
         """To teammates that can hold us, by drone; dt [s]: since the last ones."""
-        rays, width = {}, self._p.box_width
+        rays, width, may_hold = {}, self._p.box_width, self._may_hold(look.t)
         # White noise that tells as little in the long run as what wanders.
         often = 1.0 / math.tanh(0.5 * max(dt, 1e-3) / width.wander_s)
         for i, (drone, _) in enumerate(look.keys):
+            if may_hold is not None and drone not in may_hold:
+                continue
             anchor = self._anchors.get(drone)
             where = team.said_place(drone, look.t) if math.isfinite(float(look.ray[i, 0])) else None
             if anchor is None or where is None or not self._is_anchor(anchor):
@@ -261,6 +263,16 @@ class OwnPlace:
             )
         return rays
 
+    def _may_hold(self, t: float) -> Collection[int] | None:
+        """The only teammates that can hold us at t [s]: those that do, while they are enough; None: any."""
+        found = self._filter
+        if found is None or len(found) < ANCHORS_MOST:
+            return None
+        return set(found) if self._anchors[self._oldest(found)].holds(t) else None
+
+    def _oldest(self, drones: Iterable[int]) -> int:
+        return min(drones, key=lambda drone: self._anchors[drone].last_t)
+
     @property
     def _was_right(self) -> bool:
         return self._fitted_as_configured >= FITTED_RAYS
@@ -271,7 +283,7 @@ class OwnPlace:
         assert found is not None
         if drone not in found:
             if len(found) >= ANCHORS_MOST:
-                gone = min(found, key=lambda other: self._anchors[other].last_t)
+                gone = self._oldest(found)
                 if self._anchors[gone].holds(found.t):
                     return False
                 found.remove_teammate(gone)

@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.team.rows import TeammateRows
@@ -42,17 +41,15 @@ class DeviationFilters(TeammateRows):
         """The axes of the own rays have turned: rotation (3, 3) takes directions along, to_old (8, 8) z back."""
         self._aside = rotation @ self._aside @ to_old
 
-    def innovations(
-        self, columns: NDArray[np.intp], across: Array, direction: Array, t: float, of: Deviation
-    ) -> tuple[Array, Array]:
-        """Fold in a bearing along direction (3,) at t of these teammates. across (m, 3, 8): where each should be across
-        it, of z. Returns what is left of that (m, 3, 8), and its variance (m,) m² per axis."""
-        begun = np.isfinite(self._t[columns])
-        dt = np.where(begun, t - self._t[columns], 0.0)
+    def innovations(self, across: Array, direction: Array, t: float, of: Deviation) -> tuple[Array, Array]:
+        """Fold in bearings along direction (n, 3) at t [s]. across (n, 3, 8): where each teammate should be across its
+        bearing, of z. Returns what is left of that (n, 3, 8), and its variance (n,) m² per axis."""
+        begun = np.isfinite(self._t)
+        dt = np.where(begun, t - self._t, 0.0)
         w, v = of.bandwidth, of.sigma**2
         decay = np.exp(-w * dt)
         F = decay * np.array([1.0 + w * dt, dt, -w * w * dt, 1.0 - w * dt])
-        x, P = self._aside[columns], self._cov[columns]
+        x, P = self._aside, self._cov
         f = F[:, :, None, None]
         ahead = np.stack([f[0] * x[:, 0] + f[1] * x[:, 1], f[2] * x[:, 0] + f[3] * x[:, 1]], axis=1)
         # The stationary covariance, and what is known better than by it.
@@ -63,12 +60,12 @@ class DeviationFilters(TeammateRows):
         ahead[~begun] = 0.0
         p00, p01, p11 = np.where(begun, p00, v), np.where(begun, p01, 0.0), np.where(begun, p11, v * w * w)
         left = across - ahead[:, 0]
-        left -= direction[:, None] * (direction @ left)[:, None]
+        left -= direction[:, :, None] * (direction[:, None] @ left)
         S = p00 + of.white
         k0, k1 = p00 / S, p01 / S
         ahead[:, 0] += k0[:, None, None] * left
         ahead[:, 1] += k1[:, None, None] * left
-        self._aside[columns] = ahead
-        self._cov[columns] = np.stack([p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01], axis=1)
-        self._t[columns] = t
+        self._aside = ahead
+        self._cov = np.stack([p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01], axis=1)
+        self._t = np.full(len(S), t)
         return left, S

@@ -41,6 +41,7 @@ from swarmtrack.team.priors import (
     TEAMMATE_HEADING_CELL_SIGMA_RAD,
     TEAMMATE_HEADING_SIGMA_RAD,
 )
+from swarmtrack.team.rows import runs
 
 LEVEL = 5
 """Of z: the first of q."""
@@ -117,30 +118,35 @@ class TeammatePrior:
         y, far = (np.ascontiguousarray(each.transpose(1, 2, 0)) for each in (y, far))
         return cls(y, far, _squares(far))
 
-    def products(self, S: Array, used: NDArray[np.intp]) -> Array:
-        """(6, n c, k): y_iᵀ S y_j of S (n, c, 36), by the components used; `_squares` has their order."""
-        return S.reshape(-1, len(_ROW)) @ _squares(self.y[:, :, used])
-
-    def far_products(self, S: Array) -> Array:
-        """(3, n c, far): the same of S (n, c, 36) with a heading that is anywhere."""
-        return S.reshape(-1, len(_ROW)) @ self.far_squares
-
 
 class PriorsOfMany(NamedTuple):
-    """The priors of several teammates, and where the matrices of each end: the same of all of them."""
+    """The priors of several teammates, and how many matrices each has: they stand one after the other."""
 
     priors: Sequence[TeammatePrior]
-    ends: NDArray[np.intp]
+    counts: Sequence[int]
+
+    @classmethod
+    def of_one(cls, prior: TeammatePrior, n: int) -> PriorsOfMany:
+        """n matrices of one teammate."""
+        return cls([prior], [n])
 
     def products(self, S: Array, used: NDArray[np.intp]) -> Array:
-        """As `TeammatePrior.products`."""
-        each = zip(self.priors, np.split(S, self.ends[:-1]), strict=True)
-        return np.concatenate([prior.products(rows, used) for prior, rows in each], axis=1)
+        """(6, c, n, k): y_iᵀ S y_j of S (36, c, n), by the components used; `_squares` has their order."""
+        squares = _squares(np.concatenate([prior.y[:, :, used] for prior in self.priors], axis=2))
+        each = runs([len(used)] * len(self.priors))
+        return self._by_teammate([squares[:, :, own] for own in each], S)
 
     def far_products(self, S: Array) -> Array:
-        """As `TeammatePrior.far_products`."""
-        each = zip(self.priors, np.split(S, self.ends[:-1]), strict=True)
-        return np.concatenate([prior.far_products(rows) for prior, rows in each], axis=1)
+        """(3, c, n, far): the same with a heading that is anywhere."""
+        return self._by_teammate([prior.far_squares for prior in self.priors], S)
+
+    def _by_teammate(self, squares: Sequence[Array], S: Array) -> Array:
+        found = []
+        for square, rows in zip(squares, runs(self.counts), strict=True):
+            part = S[..., rows]
+            product = part.reshape(len(part), -1).T @ square
+            found.append(product.reshape(len(square), *part.shape[1:], -1))
+        return np.concatenate(found, axis=2) if len(found) > 1 else found[0]
 
 
 # Of a symmetric (8, 8), the entries on and above the diagonal; and which of them stand twice in it.
@@ -193,13 +199,19 @@ def moments(found: Sequence[tuple[float, tuple[Array, Array]]]) -> tuple[Array, 
     return mean, np.einsum("i,iab->ab", w, spread)
 
 
-def _inverse(A: Array) -> Array:
-    """Inverses of many symmetric positive definite (…, 3, 3): by cofactors, in a fifth of LAPACK's time."""
-    (a, b, c), (_, d, e), (_, _, f) = np.moveaxis(A, (-2, -1), (0, 1))
+def _inverse(A: Array) -> tuple[Array, Array]:
+    """Inverses (3, 3, …) of many symmetric positive definite (3, 3, …), and determinants (…): by cofactors, in a fifth
+    of LAPACK's time."""
+    (a, b, c), (_, d, e), (_, _, f) = A
     cofactors = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
-    found = np.stack([cofactors[i] for i in (0, 1, 2, 1, 3, 4, 2, 4, 5)], axis=-1)
-    found /= (a * cofactors[0] + b * cofactors[1] + c * cofactors[2])[..., None]
-    return found.reshape(A.shape)
+    determinant = a * cofactors[0] + b * cofactors[1] + c * cofactors[2]
+    found = np.stack([cofactors[i] for i in (0, 1, 2, 1, 3, 4, 2, 4, 5)]) / determinant
+    return found.reshape(3, 3, *determinant.shape), determinant
+
+
+def _product(a: Array, b: Array) -> Array:
+    """(i, j, …): many products of (i, 3, …) and (3, j, …), in a third of matmul's time."""
+    return np.asarray(a[:, 0, None] * b[0] + a[:, 1, None] * b[1] + a[:, 2, None] * b[2])
 
 
 def log_evidence_of_nothing(used: NDArray[np.intp], *, doubting: bool) -> Array:
@@ -227,70 +239,64 @@ class Marginal:
         Sigma = cov + np.array(
             [(spread**2 + m**2) * _HORIZONTAL for m in (0.0, *START_OFF_SIGMA_M) for spread in spreads]
         )
-        P, c = _inverse(Sigma), self._log_shares.shape[1]
-        A = M[:, None, LEVEL:, LEVEL:] + P
-        A_inv = _inverse(A)
-        X = M[:, None, :LEVEL, LEVEL:] @ A_inv
-        S = np.empty((len(M), len(spreads) * c, 8, 8))
-        S[..., :LEVEL, :LEVEL] = M[:, None, :LEVEL, :LEVEL] - X @ M[:, None, LEVEL:, :LEVEL]
-        S[..., :LEVEL, LEVEL:] = X @ P
-        S[..., LEVEL:, :LEVEL] = S[..., :LEVEL, LEVEL:].swapaxes(-1, -2)
-        S[..., LEVEL:, LEVEL:] = P - P @ A_inv @ P
+        # From here on with matrices first: whole arrays are added and multiplied.
+        P, volume = _inverse(np.ascontiguousarray(Sigma.reshape(-1, len(spreads) * len(shares[0]), 3, 3).T))
+        m = np.ascontiguousarray(M.transpose(1, 2, 0))[:, :, None]
+        A_inv, determinant = _inverse(m[LEVEL:, LEVEL:] + P)
+        X = _product(m[:LEVEL, LEVEL:], A_inv)
+        S = np.empty((8, 8, *determinant.shape))
+        S[:LEVEL, :LEVEL] = m[:LEVEL, :LEVEL] - _product(X, m[LEVEL:, :LEVEL])
+        S[:LEVEL, LEVEL:] = _product(X, P)
+        S[LEVEL:, LEVEL:] = P - _product(_product(P, A_inv), P)
         self._P = P
         # Only what differs: S is symmetric.
-        self._S = S[..., _ROW, _COLUMN]
-        self._log_volume = 0.5 * (np.linalg.slogdet(P)[1] - np.linalg.slogdet(A)[1])
+        self._S = S[_ROW, _COLUMN]
+        self._log_volume = -0.5 * np.log(volume * determinant)
         self._spreads = spreads
 
     def log_evidence(
         self,
-        prior: TeammatePrior | PriorsOfMany,
+        prior: PriorsOfMany,
         errors: OwnErrors,
         used: NDArray[np.intp],
         heading_sigma: float,
     ) -> Array:
         """(n, len(used)) of the components used, without the bearings' normalisers. heading_sigma [rad]: of the own
         heading in the first component."""
-        found = np.empty((len(self._S), len(used)))
+        found = np.empty((self._S.shape[2], len(used)))
         spread = np.searchsorted(self._spreads, errors.spread[used])
         sigma = errors.heading_sigma(used, heading_sigma)
         loose = errors.loose[used].astype(int)
         for s in np.unique(spread).tolist():
             here = np.flatnonzero(spread == s)
             each = self._of(s, prior, used[here], sigma[here])
-            each += self._log_shares[loose[here]].T
-            found[:, here] = log_sum(each, 1)
+            each += self._log_shares[loose[here]].T[:, None]
+            found[:, here] = log_sum(each, 0)
         first = np.flatnonzero(used == 0)
         if first.size:
             found[:, first[0]] = np.logaddexp(found[:, first[0]], self._of_far(prior))
         return found
 
-    def _of(
-        self, spread: int, prior: TeammatePrior | PriorsOfMany, used: NDArray[np.intp], sigma: Array
-    ) -> Array:
-        """(n, c, k): by how far the teammate's start is off, and by the components used."""
-        columns = slice(spread, None, len(self._spreads))
-        S = self._S[:, columns]
-        n, c, k = *S.shape[:2], len(used)
-        g00, g01, g11, g02, g12, g22 = prior.products(S, used)
+    def _of(self, spread: int, prior: PriorsOfMany, used: NDArray[np.intp], sigma: Array) -> Array:
+        """(c, n, k): by how far the teammate's start is off, and by the components used."""
+        rows = slice(spread, None, len(self._spreads))
+        g00, g01, g11, g02, g12, g22 = prior.products(self._S[:, rows], used)
         a11, a22 = g11 * sigma**2 + 1.0, g22 * TEAMMATE_HEADING_SIGMA_RAD**2 + 1.0
         a12 = g12 * (sigma * TEAMMATE_HEADING_SIGMA_RAD)
         b1, b2 = g01 * sigma, g02 * TEAMMATE_HEADING_SIGMA_RAD
         det = a11 * a22 - a12**2
         quad = g00 - (a22 * b1**2 - 2.0 * a12 * b1 * b2 + a11 * b2**2) / det
-        log = (-0.5 * quad - 0.5 * np.log(det)).reshape(n, c, k)
-        return np.asarray(log + self._log_volume[:, columns, None])
+        return np.asarray(-0.5 * (quad + np.log(det)) + self._log_volume[rows, :, None])
 
-    def _of_far(self, prior: TeammatePrior | PriorsOfMany) -> Array:
+    def _of_far(self, prior: PriorsOfMany) -> Array:
         """(n,): with the teammate's heading anywhere, and its start as stated and off."""
         sigma, step = TEAMMATE_HEADING_CELL_SIGMA_RAD, len(self._spreads)
-        every = slice(None, step * len(self._log_far_shares), step)
-        S = self._S[:, every]
-        g00, g01, g11 = prior.far_products(S)
+        rows = slice(None, step * len(self._log_far_shares), step)
+        g00, g01, g11 = prior.far_products(self._S[:, rows])
         h = g11 * sigma**2 + 1.0
-        log = -0.5 * (g00 - (g01 * sigma) ** 2 / h) - 0.5 * np.log(h)
-        log = log_sum(log, 1).reshape(S.shape[:2]) + self._log_volume[:, every]
-        return log_sum(log + self._log_far_shares - math.log(g00.shape[1]), 1)
+        log = -0.5 * (g00 - (g01 * sigma) ** 2 / h + np.log(h))
+        log = log_sum(log, 2) + self._log_volume[rows] - math.log(g00.shape[2])
+        return log_sum(log + self._log_far_shares[:, None], 0)
 
     def solutions(
         self,
@@ -306,7 +312,8 @@ class Marginal:
         component, with its heading anywhere. M (8, 8): of the one pair."""
         c = self._log_shares.shape[1]
         s = int(np.searchsorted(self._spreads, errors.spread[k]))
-        y, P = np.repeat(prior.y[None, :, :, k], c, axis=0), self._P[s :: len(self._spreads)]
+        y = np.repeat(prior.y[None, :, :, k], c, axis=0)
+        P = self._P[:, :, s :: len(self._spreads), 0].transpose(2, 0, 1)
         own_sigma = float(errors.heading_sigma(np.array([k]), heading_sigma)[0])
         sigma = np.array([[own_sigma, TEAMMATE_HEADING_SIGMA_RAD]])
         sigma, log_share = np.repeat(sigma, c, axis=0), self._log_shares[int(errors.loose[k])]

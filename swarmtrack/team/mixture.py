@@ -26,11 +26,10 @@ from swarmtrack.team.evidence import (
     moments,
 )
 from swarmtrack.team.log_sums import log_sum
-from swarmtrack.team.matchings import is_wide, match_all, worth_matching
+from swarmtrack.team.matchings import match_all, worth_matching
 from swarmtrack.team.own_errors import ConfigFault, OwnErrors
 from swarmtrack.team.pasts import any_or_none, each_past_once, log_ratios, pasts_from_now
 from swarmtrack.team.priors import (
-    ALL_PAIRS_EVERY,
     DOUBTING_PADS_RATIO,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
@@ -49,10 +48,12 @@ from swarmtrack.team.priors import (
     PROOF_COMPONENTS,
     SLEEPERS_PARTS,
     SLEEPERS_PARTS_DOUBTFUL,
+    SMALL_TEAM,
     SOMEWHERE_SIGMA_M,
     START_LEAST_SIGMA_M,
     STRANGERS_SEEN,
 )
+from swarmtrack.team.rows import runs
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Told, TrackEvidence
 from swarmtrack.team.unheard import UnheardTrack, by_chance
@@ -100,9 +101,14 @@ class JointMixture:
         self.weight = np.eye(len(self.errors))[0]
         self._log_weight = np.zeros(len(self.errors))
         self._p_heading_off = np.zeros(len(self.errors))
-        self._part = self._round = 0
+        self._part = 0
         self.is_settled = self._is_right = False
         self.looks_at_all = True
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the team is so large that what is settled rests."""
+        return len(self._priors) > SMALL_TEAM
 
     @property
     def log_seen(self) -> float:
@@ -156,7 +162,7 @@ class JointMixture:
         told = [track.told() for track in tracks]
         each, looked_at = self._pairs(tracks, mates, base)
         weighing = _Weighing(tracks, told, mates, each, looked_at, used, t, known)
-        many = self._of_one_kind(mates, t) if is_wide(len(tracks), len(mates)) else []
+        many = self._of_one_kind(mates, t) if self.is_large else []
         if many:
             log_w = log_w + self._of_many(many, weighing)
         for c in sorted(set(range(len(mates))) - set(many)):
@@ -285,52 +291,59 @@ class JointMixture:
         tracks, told, mates, each, looked_at, used, t, known = weighing
         column = np.array([mate.column for mate in mates])
         anywhere = np.array([0.0 if mate.knows_start else LOG_ANYWHERE for mate in mates])
+        is_one = np.isin(np.arange(len(mates)), many)
+        pairs = [
+            np.flatnonzero(at & is_one & one.known[column]) for at, one in zip(looked_at, told, strict=True)
+        ]
+        rows = [one.of_many(column[at]) for at, one in zip(pairs, told, strict=True)]
+        start_cov = np.array([self._start_cov(mate, known) for mate in mates])
+        E = self._of_pairs(pairs, [row.M for row in rows], mates, start_cov, used, known=known)
+        for into, track, at, row, evidence in zip(each, tracks, pairs, rows, E, strict=True):
+            row.log[: row.whole] += self.log_seen + anywhere[at] + track.log_weak(t)
+            row.log[row.whole :] -= math.log(len(self._priors))
+            log = evidence + row.log[:, :, None]
+            log = np.concatenate([log_sum(log[: row.whole], 0)[None], log[row.whole :]])
+            into[:, :, at] = log.swapaxes(1, 2)
         nothing = log_evidence_of_nothing(used, doubting=False)
-        is_one, part, size = np.isin(np.arange(len(mates)), many), [], 0
-        for i, (track, found) in enumerate(zip(tracks, told, strict=True)):
-            at = np.flatnonzero(looked_at[i] & is_one & found.known[column])
-            rows = found.of_many(column[at])
-            rows.log[: rows.whole] += self.log_seen + anywhere[at] + track.log_weak(t)
-            rows.log[rows.whole :] -= math.log(len(self._priors))
-            part.append((each[i], at, rows))
-            size += rows.log.size
-            if size < PAIRS_AT_ONCE / (len(used) + 20) and i < len(tracks) - 1:
-                continue
-            E = self._of_rows([(at, rows.M) for _, at, rows in part], mates, used, known) - nothing
-            ends = np.cumsum([rows.log.size for _, _, rows in part])
-            for (into, at, rows), evidence in zip(part, np.split(E, ends[:-1]), strict=True):
-                log = evidence.reshape(*rows.log.shape, len(used)) + rows.log[:, :, None]
-                log = np.concatenate([log_sum(log[: rows.whole], 0)[None], log[rows.whole :]])
-                into[:, :, at] = log.swapaxes(1, 2)
-            part, size = [], 0
         return np.asarray(len(many) * (nothing - nothing.max()))
 
-    def _of_rows(
+    def _of_pairs(
         self,
-        rows: Sequence[tuple[NDArray[np.intp], Array]],
+        pairs: Sequence[NDArray[np.intp]],
+        M: Sequence[Array],
         mates: Sequence[Teammate],
+        start_cov: Array,
         used: NDArray[np.intp],
+        *,
         known: OwnKnowledge,
-    ) -> Array:
-        """(n, k): log evidence of matrices (…, c, 8, 8) by the components used, one after the other; with each, which c
-        of the teammates they are of."""
-        of = np.concatenate([np.tile(at, len(M)) for at, M in rows])
-        order = np.argsort(of, kind="stable")
-        M = np.concatenate([M.reshape(-1, 8, 8) for _, M in rows])[order]
-        some, counts = np.unique(of, return_counts=True)
-        cov = np.repeat([self._start_cov(mates[c], known) for c in some], counts, axis=0)[:, None]
-        priors = PriorsOfMany([self._priors[mates[c].drone_id] for c in some], np.cumsum(counts))
-        marginal = Marginal(M, cov, np.unique(self.errors.spread[used]))
-        found = np.empty((len(M), len(used)))
-        found[order] = _sense(marginal.log_evidence(priors, self.errors, used, known.heading_sigma))
-        return found
+    ) -> list[Array]:
+        """By track, log evidence (c, m', k) of matrices M (c, m', 8, 8) over that of nothing, by the components used;
+        pairs (m',): the teammates that they are of, none of which doubts itself. start_cov (m, 3, 3) m²: of the
+        teammates' starts and the own."""
+        if not M:
+            return []
+        shapes = [matrices.shape[:2] for matrices in M]
+        of = np.concatenate([np.tile(at, c) for at, (c, _) in zip(pairs, shapes, strict=True)])
+        flat = np.concatenate([matrices.reshape(-1, 8, 8) for matrices in M])
+        found = np.empty((len(of), len(used)))
+        # By teammate, and as many at once as the cache holds.
+        order, spreads = np.argsort(of, kind="stable"), np.unique(self.errors.spread[used])
+        at_once = max(1, round(PAIRS_AT_ONCE / (len(used) + 20)))
+        for part in (order[begin : begin + at_once] for begin in range(0, len(order), at_once)):
+            some, counts = np.unique(of[part], return_counts=True)
+            priors = PriorsOfMany([self._priors[mates[c].drone_id] for c in some], counts.tolist())
+            marginal = Marginal(flat[part], start_cov[of[part], None], spreads)
+            found[part] = _sense(marginal.log_evidence(priors, self.errors, used, known.heading_sigma))
+        found -= log_evidence_of_nothing(used, doubting=False)
+        parts = runs(c * m for c, m in shapes)
+        return [found[part].reshape(*shape, len(used)) for part, shape in zip(parts, shapes, strict=True)]
 
     def _let_pairs_sleep(
         self, tracks: Sequence[TrackEvidence], mates: Sequence[Teammate], ratio: Array, P: Array
     ) -> None:
         """Of a large team, while the own pose is right: of tracks that have a name, the pairs that are far from it by
         all components of weight. ratio (n, k, m): of these components."""
-        if not is_wide(*P.shape):
+        if not self.is_large:
             return
         columns = [mate.column for mate in mates]
         for track, log_ratio, p in zip(tracks, ratio, P, strict=True):
@@ -366,19 +379,14 @@ class JointMixture:
 
     def _moves_alike(self, told: Told, segment: int, mates: Sequence[Teammate], known: OwnKnowledge) -> float:
         """Log ratio of the teammate whose motion explains a segment best, wherever it started."""
-        used, found = self._likeliest(PROOF_COMPONENTS), -math.inf
-        log_w = np.log(self.weight[used])
-        for mate in mates:
-            M, weight = told.by_motion(segment, mate.column)
-            R = self._motion_ratios(mate, M, used, known) + weight[:, None]
-            found = max(found, float(np.logaddexp.reduce(log_w + R, axis=None)))
-        return found + LOG_ANYWHERE
+        used = self._likeliest(PROOF_COMPONENTS)
+        (R,) = self._motion_ratios([told], [segment], [np.arange(len(mates))], mates, used, known=known)
+        return float(np.logaddexp.reduce(np.log(self.weight[used])[:, None] + R, axis=0).max()) + LOG_ANYWHERE
 
     def _evidence(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
         """(n, k): `Marginal.log_evidence` of matrices M (n, 8, 8)."""
-        log = self._marginal(mate, M, used, known).log_evidence(
-            self._priors[mate.drone_id], self.errors, used, known.heading_sigma
-        )
+        prior = PriorsOfMany.of_one(self._priors[mate.drone_id], len(M))
+        log = self._marginal(mate, M, used, known).log_evidence(prior, self.errors, used, known.heading_sigma)
         return _sense(log)
 
     @staticmethod
@@ -391,13 +399,8 @@ class JointMixture:
 
     def _awake(self, tracks: Sequence[TrackEvidence]) -> NDArray[np.intp]:
         """The components to work out now: those with weight, and a part of the sleepers, which need all pairs."""
+        self.looks_at_all = not self._is_right or not any(np.isfinite(track.faint).any() for track in tracks)
         parts = 1 if self.is_settled or self._is_right else SLEEPERS_PARTS_DOUBTFUL
-        self._round += 1
-        self.looks_at_all = (
-            not self._round % ALL_PAIRS_EVERY
-            or not self._is_right
-            or not any(np.isfinite(track.faint).any() for track in tracks)
-        )
         if not self.looks_at_all:
             parts = 0
         looked_at = (self.errors.part - self._part) % SLEEPERS_PARTS < parts
@@ -430,7 +433,7 @@ class JointMixture:
         is_told = sure.all() or named[named > P_HELD].sum() >= NAMES_TELL
         self._is_right = bool(1.0 - self.p_fault > P_SETTLED and is_told)
         is_known = weight.max() > P_SETTLED and sure.all()
-        self.is_settled = bool(is_known or (self._is_right and is_wide(*P.shape)))
+        self.is_settled = bool(is_known or (self._is_right and self.is_large))
         return kept, P
 
     def by_motion(
@@ -438,26 +441,37 @@ class JointMixture:
     ) -> Array:
         """Probability (n, m) of each track and teammate if all starts were unknown, by the likeliest components."""
         used = self._likeliest(PROOF_COMPONENTS)
+        columns = [mate.column for mate in mates]
+        pairs = [np.flatnonzero(track.compared[columns]) for track in tracks]
+        segments = [track.likeliest_segment for track in tracks]
+        found = self._motion_ratios(
+            [track.told() for track in tracks], segments, pairs, mates, used, known=known
+        )
         R = np.full((len(used), len(tracks), len(mates)), -np.inf)
-        told = [(track.told(), track.likeliest_segment) for track in tracks]
-        for c, mate in enumerate(mates):
-            cases = [one.by_motion(segment, mate.column) for one, segment in told]
-            E = self._motion_ratios(mate, np.concatenate([M for M, _ in cases]), used, known)
-            at = 0
-            for i, (track, (_, weight)) in enumerate(zip(tracks, cases, strict=True)):
-                end = at + len(weight)
-                if track.compared[mate.column]:
-                    R[:, i, c] = log_sum(E[at:end] + weight[:, None], 0)
-                at = end
+        for i, (at, ratios) in enumerate(zip(pairs, found, strict=True)):
+            R[:, i, at] = ratios
         w = self.weight[used] / float(self.weight[used].sum())
         return np.asarray(np.tensordot(w, match_all(R + self.log_seen + LOG_ANYWHERE).probability, axes=1))
 
-    def _motion_ratios(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Array:
-        """(n, len(used)): log evidence of matrices M (n, 8, 8) over that of nothing, if all starts were unknown."""
-        cov, spreads = SOMEWHERE_SIGMA_M**2 * np.eye(3), np.unique(self.errors.spread[used])
-        marginal = Marginal(np.concatenate([np.zeros((1, 8, 8)), M]), cov, spreads)
-        E = marginal.log_evidence(self._priors[mate.drone_id], self.errors, used, known.heading_sigma)
-        return np.asarray(E[1:] - E[0])
+    def _motion_ratios(
+        self,
+        told: Sequence[Told],
+        segments: Sequence[int],
+        pairs: Sequence[NDArray[np.intp]],
+        mates: Sequence[Teammate],
+        used: NDArray[np.intp],
+        *,
+        known: OwnKnowledge,
+    ) -> list[Array]:
+        """By track, (len(used), m'): log evidence of what its segment says of the motion of each teammate in `pairs`,
+        over that of nothing, if all starts were unknown."""
+        column = np.array([mate.column for mate in mates])
+        anywhere = np.broadcast_to(SOMEWHERE_SIGMA_M**2 * np.eye(3), (len(mates), 3, 3))
+        said = [
+            one.by_motion(segment, column[at]) for one, segment, at in zip(told, segments, pairs, strict=True)
+        ]
+        E = self._of_pairs(pairs, [M for M, _ in said], mates, anywhere, used, known=known)
+        return [log_sum(e + log[:, :, None], 0).T for e, (_, log) in zip(E, said, strict=True)]
 
     def _likeliest(self, n: int) -> NDArray[np.intp]:
         """Up to n components, in order of their indices."""
@@ -466,10 +480,13 @@ class JointMixture:
 
     # --- where they are ---
 
-    def expected_place(self, drone_id: int, design: Array) -> Array:
-        """(3,) m from the own camera, in the axes of the own rays: where a teammate is by the likeliest component, and
-        by no bearing. design (3, 8): `evidence.design` of where it says that it is."""
-        return np.asarray(design @ self._priors[drone_id].y[:, 0, int(self.weight.argmax())])
+    def expected_places(self, drones: Sequence[int], design: Array) -> Array:
+        """(m, 3) m from the own camera, in the axes of the own rays: where teammates are by the likeliest component,
+        and by no bearing; NaN of one that is new. design (m, 3, 8): `evidence.design` of where they say that they
+        are."""
+        k, new = int(self.weight.argmax()), np.full(8, math.nan)
+        y = np.array([self._priors[drone].y[:, 0, k] if drone in self._priors else new for drone in drones])
+        return np.asarray((design @ y[:, :, None])[:, :, 0])
 
     def stated_place(self, mate: Teammate, design: Array, known: OwnKnowledge) -> tuple[Array, Array]:
         """As `place`, with all starts as stated."""

@@ -18,16 +18,19 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.frame_transform import FrameTransform
 from swarmtrack.messages import AgreedMotion, Announcement, Array
 from swarmtrack.team.adrift import Adrift
+from swarmtrack.team.comparison import Compared, ComparedTrack, compare
 from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.evidence import design, turned_back
 from swarmtrack.team.last_seen import LastSeenRay
 from swarmtrack.team.mixture import JointMixture, OwnKnowledge
 from swarmtrack.team.priors import (
+    ALL_COMPARED_EVERY_S,
     BEARING_SIGMA_RAD,
     BELIEVED_ENDED_S,
     BOX_LEARNED_EVERY_S,
@@ -37,10 +40,10 @@ from swarmtrack.team.priors import (
     CARRIED_MOST,
     ELSEWHERE_GATE,
     ELSEWHERE_LEAST_M,
-    FAR_COMPARED_EVERY,
     FARTHEST_COMPARED_M,
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
+    MOTION_WEIGHED_EVERY,
     NAMES_TELL,
     NEAREST_BOX_M,
     P_BELIEVED,
@@ -50,6 +53,7 @@ from swarmtrack.team.priors import (
     P_SAME_DRONE,
     P_SIZE_LEARNED,
     P_SUPPOSED,
+    PAIR_WAKES_RAD,
     REBOOTED_M,
     REPORT_WAIT_S,
     REPORTED_DEVIATION,
@@ -62,7 +66,7 @@ from swarmtrack.team.priors import (
 from swarmtrack.team.reported_places import SaidPlace
 from swarmtrack.team.scan_attitude import NamedRay, ScanAttitude
 from swarmtrack.team.teammates import Teammate
-from swarmtrack.team.track_evidence import Bearing, Compared, TrackEvidence
+from swarmtrack.team.track_evidence import Bearing, TrackEvidence
 
 # s of scans that wait for reports of their time.
 _SCANS_KEPT_S = 2.5
@@ -96,11 +100,14 @@ class Named(NamedTuple):
     p: Mapping[int, float]
     p_none: float
     by_motion: Mapping[int, float]
+    likeliest: tuple[int, float]
+    """A drone and its probability; 0 and 0 where no teammate is known."""
 
-    @property
-    def likeliest(self) -> tuple[int, float]:
-        """A drone and its probability; 0 and 0 where no teammate is known."""
-        return max(self.p.items(), key=lambda item: item[1], default=(0, 0.0))
+    @classmethod
+    def by(cls, p: Mapping[int, float], p_none: float, by_motion: Mapping[int, float]) -> Named:
+        """By these probabilities."""
+        drone = max(p, key=p.__getitem__, default=0)
+        return cls(p, p_none, by_motion, (drone, p.get(drone, 0.0)))
 
 
 class TeamPosterior:
@@ -128,6 +135,8 @@ class TeamPosterior:
         """By track, when it was named surely, s."""
         self._agreed: defaultdict[int, list[AgreedMotion]] = defaultdict(list)
         self._weighed = -math.inf
+        self._weighings_of_places = 0
+        """Since what motion alone says was worked out last."""
         self._team_has_changed = False
 
     @property
@@ -184,7 +193,7 @@ class TeamPosterior:
             track.remove(gone.column)
         for id, named in self.named.items():
             left = {other: p for other, p in named.p.items() if other != drone_id}
-            self.named[id] = named._replace(p=left)
+            self.named[id] = Named.by(left, named.p_none, named.by_motion)
         self._team_has_changed = True
 
     def _set_team(self) -> None:
@@ -306,6 +315,10 @@ class TeamPosterior:
             self._weigh(t)
         self._remember(scan)
 
+    def _is_held(self, id: int) -> bool:
+        """Whether a track has a name rather than not."""
+        return id in self.named and self.named[id].likeliest[1] > P_HELD
+
     @property
     def _is_calm(self) -> bool:
         """Whether everything is settled, and no track waits to be one."""
@@ -323,7 +336,13 @@ class TeamPosterior:
             self._round[number] = due
             nearest = min(self._scans[number], key=lambda kept: abs(kept.t - due))
             if abs(nearest.t - due) < ROUND_NEAR_S:
-                ids = [id for id in nearest.bearings if id in self._tracks or id in scan.bearings]
+                # What has a name in a large team that is calm is compared as often as it is weighed.
+                rest = self.mixture.is_large and self._is_calm and due % CALM_WEIGHED_EVERY_S > 0.0
+                ids = [
+                    id
+                    for id in nearest.bearings
+                    if (id in self._tracks or id in scan.bearings) and not (rest and self._is_held(id))
+                ]
                 others = [mate for mate in self.teammates.values() if not mate.is_followed(t)]
                 self._compare(nearest, ids, others)
         return self._round[number] > before
@@ -349,25 +368,29 @@ class TeamPosterior:
         """Tracks with teammates, in one scan."""
         assert self._start is not None
         some = [] if self._adrift.lost or not ids else [mate for mate in mates if not mate.adrift.lost]
-        placed = [(mate, mate.at(scan.t)) for mate in some]
-        near = [one for one in placed if np.linalg.norm(one[1].place - one[0].start) < FARTHEST_COMPARED_M]
+        near, said = _within_reach(some, scan.t)
         if not near:
             return
-        away = _distances(near, scan.origin)
+        place = np.array([one.place for one in said])
+        knows_start = np.array([mate.knows_start for mate in near])
+        away = np.where(knows_start, _lengths(place - scan.origin).clip(NEAREST_BOX_M), np.inf)
         compared = Compared(
-            columns=np.array([mate.column for mate, _ in near]),
-            place=np.array([said.place - mate.start for mate, said in near]),
-            deviation=self._deviation(scan, [said for _, said in near]),
-            log_span=np.array([mate.log_span for mate, _ in near]),
-            span_variance=np.array([mate.span_variance for mate, _ in near]),
-            is_near=np.array([mate.knows_start for mate, _ in near]),
-            log_there=np.array([mate.log_waits(scan.t) for mate, _ in near]),
+            columns=np.array([mate.column for mate in near]),
+            design=design(place - np.array([mate.start for mate in near]), scan.origin - self._start),
+            deviation=self._deviation(scan, said),
+            log_span=np.array([mate.log_span for mate in near]),
+            span_variance=np.array([mate.span_variance for mate in near]),
+            is_near=knows_start,
+            log_there=np.array([mate.log_waits(scan.t) for mate in near]),
             farthest=away + 2.0 * START_OFF_SIGMA_M[-1],
             within=_within(away),
         )
-        bearings = self._without_attitude(scan, near, compared)
-        knows = np.array([mate.knows(scan.t) for mate, _ in near])
-        with_far = round(scan.t / ROUND_S) % FAR_COMPARED_EVERY == 0
+        expected = self.mixture.expected_places([mate.drone_id for mate in near], compared.design)
+        bearings = self._without_attitude(scan, near, compared.deviation, expected)
+        self._wake(ids, bearings, compared.columns, expected)
+        knows = np.array([mate.knows(scan.t) for mate in near])
+        with_far = (scan.t + ROUND_NEAR_S) % ALL_COMPARED_EVERY_S < ROUND_S
+        pairs = []
         for id in ids:
             if id not in self._tracks:
                 weak = scan.bearings[id].weak
@@ -377,35 +400,41 @@ class TeamPosterior:
             which = knows | ~track.compared[compared.columns]
             if not with_far:
                 which &= np.isnan(track.faint[compared.columns])
-            track.add(bearings[id], compared.only(which), bearings[id].camera - self._start)
+            pairs.append(ComparedTrack(track, bearings[id], np.flatnonzero(which)))
+        compare(pairs, compared)
+
+    def _wake(
+        self, ids: Sequence[int], bearings: Mapping[int, Bearing], columns: NDArray[np.intp], expected: Array
+    ) -> None:
+        """Wake the pairs of tracks that are seen near where a teammate should be: expected (m, 3) m."""
+        far = [id for id in ids if id in self._tracks and np.isfinite(self._tracks[id].faint).any()]
+        if far:
+            seen = np.array([bearings[id].direction for id in far])
+            is_near = seen @ expected.T > math.cos(PAIR_WAKES_RAD) * np.linalg.norm(expected, axis=1)
+            for id, near in zip(far, is_near, strict=True):
+                self._tracks[id].wake(columns[near])
 
     def _without_attitude(
-        self, scan: BearingScan, near: Sequence[tuple[Teammate, SaidPlace]], compared: Compared
+        self, scan: BearingScan, mates: Sequence[Teammate], deviation: Deviation, expected: Array
     ) -> Mapping[int, Bearing]:
-        """The bearings of a scan, turned back by the attitude's error where enough teammates show it."""
-        assert self._start is not None
-        at = {mate.drone_id: (i, mate) for i, (mate, _) in enumerate(near)}
-        seen: list[tuple[int, int, Teammate, float]] = []
-        for id in scan.bearings:
-            drone, p = self.named[id].likeliest if id in self.named else (0, 0.0)
-            if p > P_HELD and drone in at:
-                seen.append((id, *at[drone], p))
-        if sum(p for *_, p in seen) < NAMES_TELL:
+        """The bearings of a scan, turned back by the attitude's error where enough teammates show it. expected (m, 3)
+        m: where they should be."""
+        at = {mate.drone_id: i for i, mate in enumerate(mates)}
+        named = {id: self.named[id].likeliest for id in scan.bearings if id in self.named}
+        seen = {id: (at[drone], p) for id, (drone, p) in named.items() if p > P_HELD and drone in at}
+        if sum(p for _, p in seen.values()) < NAMES_TELL:
             return scan.bearings
         rays = {}
-        for id, i, mate, p in seen:
-            bearing, deviation = scan.bearings[id], compared.deviation
-            to = design(compared.place[[i]], bearing.camera - self._start)[0]
-            expected = self.mixture.expected_place(mate.drone_id, to)
-            distance = max(float(np.linalg.norm(expected)), NEAREST_BOX_M)
-            place_var = deviation.sigma[i] ** 2 + deviation.white[i] + float(np.trace(mate.start_cov)) / 3.0
+        for id, (i, p) in seen.items():
+            bearing, place = scan.bearings[id], expected[i]
+            distance = max(float(np.linalg.norm(place)), NEAREST_BOX_M)
+            place_var = (
+                deviation.sigma[i] ** 2 + deviation.white[i] + float(np.trace(mates[i].start_cov)) / 3.0
+            )
             variance = bearing.variance - BEARING_SIGMA_RAD**2 + place_var / distance**2
-            rays[id] = NamedRay(bearing.direction, expected / distance, p, variance)
-        attitude = ScanAttitude(rays)
-        return {
-            id: bearing.turned(*attitude.turned_back(id, bearing.direction))
-            for id, bearing in scan.bearings.items()
-        }
+            rays[id] = NamedRay(bearing.direction, place / distance, p, variance)
+        found = ScanAttitude(rays).turned_back({id: one.direction for id, one in scan.bearings.items()})
+        return {id: bearing.turned(*found[id]) for id, bearing in scan.bearings.items()}
 
     def _deviation(self, scan: BearingScan, said: Sequence[SaidPlace]) -> Deviation:
         """How far teammates may be from where they say, and this drone along its way: by their clocks and its own."""
@@ -500,17 +529,17 @@ class TeamPosterior:
         for track in tracks:
             track.begin_due_segment()
         P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
-        moved: dict[int, Mapping[int, float]]
-        if self.mixture.looks_at_all:
+        moved = {id: named.by_motion for id, named in self.named.items()}
+        self._weighings_of_places += 1
+        if self.mixture.looks_at_all or self._weighings_of_places >= MOTION_WEIGHED_EVERY:
+            self._weighings_of_places = 0
             rows = self.mixture.by_motion(tracks, mates, self._known).tolist() if tracks else []
             moved = {id: dict(zip(ids, row, strict=True)) for id, row in zip(self._tracks, rows, strict=True)}
-        else:
-            moved = {id: named.by_motion for id, named in self.named.items()}
         for id, p in zip(self._tracks, P, strict=True):
             p_none = max(1.0 - sum(p), 0.0)
             # Of a track that has come since, motion says nothing yet.
             by_motion = moved.get(id) or dict.fromkeys(ids, 0.0)
-            self.named[id] = named = Named(dict(zip(ids, p, strict=True)), p_none, by_motion)
+            self.named[id] = named = Named.by(dict(zip(ids, p, strict=True)), p_none, by_motion)
             if named.likeliest[1] >= P_BELIEVED:
                 self._sure_t[id] = t
         self._learn_sizes(t)
@@ -565,11 +594,20 @@ class TeamPosterior:
         )
 
 
-def _distances(near: Sequence[tuple[Teammate, SaidPlace]], origin: Array) -> Array:
-    """(m,) m from the origin (3,) m at which teammates say that they are; inf where one may be anywhere."""
-    away = np.array([np.linalg.norm(said.place - origin) for _, said in near])
-    known = np.array([mate.knows_start for mate, _ in near])
-    return np.where(known, np.maximum(away, NEAREST_BOX_M), np.inf)
+def _within_reach(mates: Collection[Teammate], t: float) -> tuple[list[Teammate], list[SaidPlace]]:
+    """Those that are not farther from their starts than any bearing is of, and where they say that they were at t."""
+    if not mates:
+        return [], []
+    said = [mate.at(t) for mate in mates]
+    moved = _lengths(np.array([one.place - mate.start for one, mate in zip(said, mates, strict=True)]))
+    found = [
+        one for one, m in zip(zip(mates, said, strict=True), moved, strict=True) if m < FARTHEST_COMPARED_M
+    ]
+    return [mate for mate, _ in found], [one for _, one in found]
+
+
+def _lengths(vectors: Array) -> Array:
+    return np.asarray(np.sqrt((vectors**2).sum(axis=1)))
 
 
 def _within(away: Array) -> tuple[float, float]:

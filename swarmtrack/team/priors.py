@@ -204,9 +204,14 @@ BELIEFS_LACK_PER_TRACK = 0.35
 P_SETTLED = 0.99
 # So many tracks with a name, by their probabilities, say that the own pose is right, whatever other tracks are.
 NAMES_TELL = 8.0
+# Of more teammates a team is large.
+SMALL_TEAM = 8
 # In a large team, a pair of a log ratio below this by all components sleeps while its track has another name, and keeps
-# its ratio; all are looked at every so many weighings, and compared every so many rounds. So many matrices, times
-# components and 20, are worked out at once: some 30 MB.
-LOG_PAIR_SLEEPS, ALL_PAIRS_EVERY, FAR_COMPARED_EVERY, PAIRS_AT_ONCE = -3.0, 8, 4, 2e5
+# its ratio, until the track is seen that near to where the teammate should be. All pairs are compared every so many s,
+# and what motion alone says is worked out every so many weighings.
+LOG_PAIR_SLEEPS, PAIR_WAKES_RAD = -3.0, math.radians(10.0)
+ALL_COMPARED_EVERY_S, MOTION_WEIGHED_EVERY = 4.0, 8
+# So many matrices, times components and 20, are worked out at once: some 8 MB.
+PAIRS_AT_ONCE = 5e4
 # Where everything is surer, so often is enough.
 CALM_WEIGHED_EVERY_S = 1.0

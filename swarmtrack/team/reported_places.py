@@ -37,8 +37,7 @@ _CURVE_LEAST_S, _CURVE_MOST_S = 0.3, 2.5
 
 class Report(NamedTuple):
     """A place (3,) m in the teammate's own frame at t [s], and its velocity (3,) m/s where it is known; measured: that
-    it says both of them itself; t_sigma [s]; sigma [m per axis]:
-    of a place that teammates carry."""
+    it says both of them itself; t_sigma [s]; sigma [m per axis]: of a place that teammates carry."""
 
     t: float
     place: Array
@@ -46,6 +45,11 @@ class Report(NamedTuple):
     measured: bool = False
     t_sigma: float = 0.0
     sigma: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """m/s, 0 where it is not known."""
+        return 0.0 if self.velocity is None else math.hypot(*self.velocity.tolist())
 
 
 class SaidPlace(NamedTuple):
@@ -92,12 +96,11 @@ class ReportedPlaces:
         if k + 1 < len(reports) and t >= here.t:
             return self._between(k, t)
         place, since = here.place, abs(t - here.t)
-        speed = 0.0 if here.velocity is None else float(np.linalg.norm(here.velocity))
         if here.velocity is not None:
-            place = place + np.clip(t - here.t, -CARRIED_MOST_S, CARRIED_MOST_S) * here.velocity
+            place = place + min(max(t - here.t, -CARRIED_MOST_S), CARRIED_MOST_S) * here.velocity
         if since <= PLACE_LASTS_S:
             return _said(place, 0.5 * CARRIED_M_S2 * since**2, here)
-        if speed > FLEW_M_S:
+        if here.speed > FLEW_M_S:
             return _said(place, FLEW_ON_M_S * since, here)
         return _said(place, min(WAITING_M_S * since, WAITING_MOST_M), here)
 
@@ -113,13 +116,12 @@ class ReportedPlaces:
                 bend = (slope - (here.place - before.place) / apart) / (there.t - before.t)
         on, left = min(t - here.t, step), max(there.t - t, 0.0)
         place = here.place + on * slope - on * left * bend
-        error = BEND_ERROR * float(np.linalg.norm(bend)) * on * left
+        error = BEND_ERROR * math.hypot(*bend.tolist()) * on * left
         return _said(place, error, here)
 
 
 def _said(place: Array, white_sigma: float, report: Report) -> SaidPlace:
-    speed = 0.0 if report.velocity is None else float(np.linalg.norm(report.velocity))
-    late = report.t_sigma * speed
+    late = report.t_sigma * report.speed if report.t_sigma else 0.0
     if report.measured and report.velocity is not None:
         sigma, bandwidth = MOTION_DEVIATION
         return SaidPlace(place, math.hypot(sigma, late), bandwidth, MOTION_WHITE_M**2 + white_sigma**2)

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from swarmtrack.geometry.rotation import hat
 from swarmtrack.messages import Array
 from swarmtrack.team.priors import ATTITUDE_LASTING_SIGMA_RAD, BEARING_SIGMA_RAD
 
@@ -48,14 +47,19 @@ class ScanAttitude:
         self._information = np.eye(3) / _PRIOR_VARIANCE + self._each.sum(axis=0)
         self._sum = self._said.sum(axis=0)
 
-    def turned_back(self, track: int, direction: Array) -> tuple[Array, float]:
-        """The direction (3,) of a track without this error, and what is left of the error's variance, as a share. Its
+    def turned_back(self, directions: Mapping[int, Array]) -> dict[int, tuple[Array, float]]:
+        """Directions (3,) by track, without this error; and what is left of the error's variance, as a share. A track's
         own ray does not count."""
-        information, said = self._information, self._sum
-        if track in self._rows:
-            row = self._rows[track]
-            information, said = information - self._each[row], said - self._said[row]
+        d = np.array(list(directions.values()))
+        at = [(i, self._rows[track]) for i, track in enumerate(directions) if track in self._rows]
+        of, rows = np.array(at, int).reshape(-1, 2).T
+        information = np.tile(self._information, (len(d), 1, 1))
+        said = np.tile(self._sum, (len(d), 1))
+        information[of] -= self._each[rows]
+        said[of] -= self._said[rows]
         cov = np.linalg.inv(information)
-        turned = direction + hat(cov @ said) @ direction
-        left = 0.5 * float(np.trace(cov) - direction @ cov @ direction) / _PRIOR_VARIANCE
-        return turned / np.linalg.norm(turned), left
+        turned = d + np.cross((cov @ said[:, :, None])[:, :, 0], d)
+        turned /= np.linalg.norm(turned, axis=1)[:, None]
+        along = (d[:, None] @ cov @ d[:, :, None])[:, 0, 0]
+        left = 0.5 * (np.trace(cov, axis1=1, axis2=2) - along) / _PRIOR_VARIANCE
+        return dict(zip(directions, zip(turned, left.tolist(), strict=True), strict=True))

@@ -30,7 +30,7 @@ KINDS = 4
 
 
 class StrangerFilters(TeammateRows):
-    """Filters of one track, for n distances and each kind. All arrays are (n, KINDS, …)."""
+    """Filters of tracks, for n distances and each kind. All arrays are (n, KINDS, …)."""
 
     def __init__(self, n: int) -> None:
         self._direction = np.zeros((n, KINDS, 3))
@@ -52,7 +52,6 @@ class StrangerFilters(TeammateRows):
 
     def predict_and_update(
         self,
-        columns: NDArray[np.intp],
         bearing: Array,
         *,
         dt: Array,
@@ -61,41 +60,40 @@ class StrangerFilters(TeammateRows):
         least: Array,
         distance: Array,
     ) -> Array:
-        """Log predictive densities (m, KINDS) per rad² of a bearing (3,) by the filters of m columns; it is folded in.
+        """Log predictive densities (n, KINDS) per rad² of bearings (n, 3); they are folded in.
 
-        dt (m,) s since the last; parallax (m, 3) rad: of the own motion since then, at distance (m,) m; variance (m,)
-        rad² of the bearing, all white errors included; least (m,) rad²: of any prediction. Filters that begin return
+        dt (n,) s since the last; parallax (n, 3) rad: of the own motion since then, at distance (n,) m; variance (n,)
+        rad² of the bearing, all white errors included; least (n,) rad²: of any prediction. Filters that begin return
         zeros.
         """
-        new = ~self._begun[columns]
+        new = ~self._begun
         if new.any():
-            self._begin(columns[new], bearing, variance[new], distance[new])
+            self._begin(new, bearing[new], variance[new], distance[new])
         F12 = dt[:, None]
-        rate, cov = self._rate[columns], self._cov[columns]
-        direction = self._direction[columns] + parallax[:, None] + rate * F12[..., None]
-        c00, c01, c11 = np.moveaxis(cov, -1, 0)
-        q = self._acceleration[columns] ** 2
-        p00 = c00 + 2.0 * F12 * c01 + F12**2 * c11 + q * F12**3 / 3.0 + self._walk[columns] ** 2 * F12
+        rate, (c00, c01, c11) = self._rate, np.moveaxis(self._cov, -1, 0)
+        direction = self._direction + parallax[:, None] + rate * F12[..., None]
+        q = self._acceleration**2
+        p00 = c00 + 2.0 * F12 * c01 + F12**2 * c11 + q * F12**3 / 3.0 + self._walk**2 * F12
         p00 = p00 + (STRANGER_PARALLAX_SIGMA**2 * np.sum(parallax**2, axis=1))[:, None]
         p01 = c01 + F12 * c11 + q * F12**2 / 2.0
         p11 = c11 + q * F12
-        innovation = bearing - direction
-        innovation -= bearing * (innovation @ bearing)[..., None]
+        innovation = bearing[:, None] - direction
+        innovation -= bearing[:, None] * (innovation @ bearing[:, :, None])
         S = p00 + variance[:, None]
         vague = np.maximum(S, least[:, None])
         log_density = -np.log(2.0 * math.pi * vague) - 0.5 * np.sum(innovation**2, axis=-1) / vague
         k0, k1 = p00 / S, p01 / S
         updated = np.stack([p00 - k0 * p00, p01 - k0 * p01, p11 - k1 * p01], axis=-1)
-        old = columns[~new]
-        self._direction[old] = (direction + k0[..., None] * innovation)[~new]
-        self._rate[old] = (rate + k1[..., None] * innovation)[~new]
-        self._cov[old] = updated[~new]
+        old = ~new
+        self._direction[old] = (direction + k0[..., None] * innovation)[old]
+        self._rate[old] = (rate + k1[..., None] * innovation)[old]
+        self._cov[old] = updated[old]
         log_density[new] = 0.0
         return np.asarray(log_density)
 
-    def _begin(self, new: NDArray[np.intp], bearing: Array, variance: Array, rho: Array) -> None:
+    def _begin(self, new: NDArray[np.bool_], bearing: Array, variance: Array, rho: Array) -> None:
         self._begun[new] = True
-        self._direction[new] = bearing
+        self._direction[new] = bearing[:, None]
         self._rate[new] = 0.0
         self._cov[new] = 0.0
         self._cov[new, :, 0] = variance[:, None]

@@ -18,15 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
-from swarmtrack.team.deviation import Deviation, DeviationFilters
-from swarmtrack.team.evidence import design, fading
+from swarmtrack.team.deviation import DeviationFilters
+from swarmtrack.team.evidence import fading
 from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past
 from swarmtrack.team.priors import (
     ATTITUDE_LASTING_SIGMA_RAD,
     BEARING_SIGMA_RAD,
-    BOX_SIZE_SIGMA_LN,
-    DISTANCE_SHARE,
-    DISTANCE_STEP_LN,
     HANDOVER_LEAST,
     HANDOVER_MET,
     HANDOVER_MISSED_PER_S,
@@ -37,7 +34,6 @@ from swarmtrack.team.priors import (
     SEGMENT_LEAST_S,
     SEGMENT_MISSED_S,
     SEGMENTS_KEPT,
-    STRANGER_DISTANCE_RANGE_LN,
     TRACKS_MEET_PX,
     WEAK_FREE_S,
     WEAK_MOST,
@@ -55,9 +51,8 @@ _BY_PLACE = 65 + KINDS
 _WIDTH = 66 + KINDS
 # s: a bearing so soon after the last is none.
 _LEAST_STEP_S = 0.02
-# ln: distances beside the one that a box says; and of a target whose place is known.
-_DISTANCES = DISTANCE_STEP_LN * np.array([0.0, 1.0, 2.0, -1.0, -2.0])
-_DISTANCES_OF_NEAR = np.where(_DISTANCES < 0.0, math.nan, _DISTANCES)
+BOX_DISTANCES = np.array([0.0, 1.0, 2.0, -1.0, -2.0])
+"""Beside the one that a box says, in steps of its logarithm."""
 
 
 class Bearing(NamedTuple):
@@ -93,39 +88,14 @@ class TrackSegment:
     past_t: float = -math.inf
     weight: float = 0.0
 
+    def add(self, columns: NDArray[np.intp], said: Array) -> None:
+        """A bearing says this of some teammates: `sums_of`."""
+        self.sum[columns, :_BY_PLACE] += said
 
-class Compared(NamedTuple):
-    """m teammates at the time of a bearing.
 
-    columns (m,): where they stand; place (m, 3) m: where each was, from where it says it started; deviation: how far it
-    may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance; log_there
-    (m,): log prior that it is about there at all; farthest (m,) m: beyond that it can hardly be, by what it says;
-    within [m]: the least and the largest distance at which one of them says that it is.
-    """
-
-    columns: NDArray[np.intp]
-    place: Array
-    deviation: Deviation
-    log_span: Array
-    span_variance: Array
-    is_near: NDArray[np.bool_]
-    log_there: Array
-    farthest: Array
-    within: tuple[float, float]
-
-    def only(self, chosen: NDArray[np.bool_]) -> Compared:
-        """Those of them."""
-        return Compared(
-            self.columns[chosen],
-            self.place[chosen],
-            Deviation(*(of[chosen] for of in self.deviation)),
-            self.log_span[chosen],
-            self.span_variance[chosen],
-            self.is_near[chosen],
-            self.log_there[chosen],
-            self.farthest[chosen],
-            self.within,
-        )
+def sums_of(M: Array, log: Array, stranger: Array) -> Array:
+    """(n, …), rows of a sum: M (n, 8, 8), log normalisers (n,), and log densities of a stranger (n, KINDS)."""
+    return np.concatenate([M.reshape(-1, 64), log[:, None], stranger], axis=1)
 
 
 class ToldOfMany(NamedTuple):
@@ -169,17 +139,19 @@ class Told(NamedTuple):
         at = slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
         return M[at], log[at]
 
-    def by_motion(self, segment: int, column: int) -> tuple[Array, Array]:
-        """The same without what a place said."""
-        M, log = self.since(segment, column)
-        return M, log - self.by_place[segment, column]
+    def by_motion(self, segment: int, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        """The same for one segment and some teammates, without what a place said: M (c, m, 8, 8) and log weights
+        (c, m)."""
+        M, log, whole = self.of_many(columns)
+        at = slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
+        return M[at], log[at] - self.by_place[segment, columns]
 
 
 def _no_size(n: int) -> tuple[Array, Array]:
     """`TrackEvidence.size` and `size_log` before any box."""
-    log = np.full((len(_DISTANCES), n), -np.inf)
+    log = np.full((len(BOX_DISTANCES), n), -np.inf)
     log[0] = 0.0
-    return np.zeros((len(_DISTANCES), n, 8, 8)), log
+    return np.zeros((len(BOX_DISTANCES), n, 8, 8)), log
 
 
 @dataclass(slots=True, eq=False)
@@ -276,7 +248,7 @@ class TrackEvidence:
         now.since, now.log_handover, now.past, now.weight = -math.inf, 0.0, None, 1.0
         self.segments, self.whole = [now], None
         self.forget(column)
-        self._fade(t)
+        self.fade_to(t)
         self.segments[0].sum[column, [_LOG, _BY_PLACE]] = log_ratio, by_place
         self._at[column], self._sized[column] = t, True
 
@@ -313,107 +285,67 @@ class TrackEvidence:
         self.size = to_old.T @ self.size @ to_old
         self.strangers.turn(rotation)
 
-    def _fade(self, t: float) -> None:
+    def fade_to(self, t: float) -> None:
         """On to a bearing at t [s]: what was said fades as more is said."""
         if t > self.t:
             for segment in self.segments:
                 segment.sum *= fading(t - self.t) if math.isfinite(self.t) else 1.0
             self.t = t
 
-    def add(self, bearing: Bearing, mates: Compared, own_way: Array) -> None:
-        """Compare a bearing with some teammates; it may be a second or two old. own_way (3,) m: of the camera, from the
-        own start. What it says itself of where it was replaces where it was last seen."""
-        for column in mates.columns[self._expected[mates.columns]].tolist():
+    # --- bearings ---
+
+    def is_due(self, bearing: Bearing, columns: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Which teammates a bearing is to be compared with. What one says itself of where it was replaces where it was
+        last seen."""
+        for column in columns[self._expected[columns]].tolist():
             self.forget(column)
-        since = bearing.t - self._at[mates.columns]
-        counts = since > _LEAST_STEP_S
-        if not counts.any():
-            return
-        self._fade(bearing.t)
-        mates, since = mates.only(counts), since[counts]
-        j, first = mates.columns, ~np.isfinite(since)
-        # All errors are compared at one distance, the box's, within those at which teammates are stated to be; of one
-        # that can hardly be so far away, at its farthest.
-        least, most = mates.within
-        rho = np.minimum(min(max(bearing.distance, least), most), mates.farthest)
-        d = bearing.direction
-        white = bearing.variance * rho**2 + mates.deviation.white
-        deviation = mates.deviation._replace(
-            sigma=np.hypot(mates.deviation.sigma, bearing.lasting * rho), white=white
-        )
-        G = design(mates.place, own_way)
-        along = d @ G
-        across = G - d[:, None] * along[:, None]
-        moved = np.where(first[:, None], 0.0, bearing.camera - self._camera_at[j])
-        current = [segment for segment in self.segments if bearing.t >= segment.since]
-        innovations = [
-            segment.deviation.innovations(j, across, d, bearing.t, deviation) for segment in current
-        ]
-        stranger = self.strangers.predict_and_update(
-            j,
-            d,
-            dt=np.where(first, 0.0, since),
-            parallax=-(moved - (moved @ d)[:, None] * d) / rho[:, None],
-            variance=white / rho**2,
-            least=innovations[0][1] / rho**2,
-            distance=rho,
-        )
-        for segment, (left, S) in zip(current, innovations, strict=True):
-            said = np.zeros((len(j), _WIDTH))
-            said[:, _M] = (left.swapaxes(1, 2) @ left / S[:, None, None]).reshape(-1, 64)
-            said[:, _LOG] = mates.log_there + 2.0 * np.log(rho) - np.log(2.0 * math.pi * S)
-            said[:, _STRANGER] = stranger
-            segment.sum[j] += said
-        self._at[j], self._camera_at[j] = bearing.t, bearing.camera
-        self._add_size(mates, along, bearing.distance, compared_at=rho)
+        return np.asarray(bearing.t - self._at[columns] > _LEAST_STEP_S)
+
+    def last_compared(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        """When each of some teammates was compared with last [s], and where the camera (n, 3) was then, m."""
+        return self._at[columns], self._camera_at[columns]
+
+    def has_compared(self, bearing: Bearing, columns: NDArray[np.intp]) -> None:
+        """It was compared with some teammates."""
+        self._at[columns], self._camera_at[columns] = bearing.t, bearing.camera
         if math.isnan(self._begun_t):
             self._begun_t = bearing.t
 
+    def wake(self, columns: NDArray[np.intp]) -> None:
+        """Look at these teammates again, however far they were."""
+        self.faint[columns] = math.nan
+
+    def is_unsized(self, columns: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """With which teammates no box has been compared yet: of many, all err alike, and the first counts."""
+        return np.asarray(~self._sized[columns])
+
+    def add_size(self, columns: NDArray[np.intp], size: Array, log: Array) -> None:
+        """A box was compared with some teammates: matrices (r, m, 8, 8) by distance, and log weights (r, m)."""
+        self.size[:, columns], self.size_log[:, columns] = size, log
+        self._sized[columns] = True
+
     def expect(self, bearing: Bearing, column: int, log_density: float) -> None:
         """Compare the first bearing with where a teammate was seen that says nothing: its log density, per sr."""
-        self._fade(bearing.t)
-        self.strangers.predict_and_update(
-            np.array([column]),
-            bearing.direction,
+        self.fade_to(bearing.t)
+        seen = [(self.strangers, np.array([column]))]
+        filters = StrangerFilters.joined(seen)
+        filters.predict_and_update(
+            bearing.direction[None],
             dt=np.zeros(1),
             parallax=np.zeros((1, 3)),
             variance=np.array([bearing.variance]),
             least=np.zeros(1),
             distance=np.array([bearing.distance]),
         )
+        filters.return_to(seen)
         self.segments[0].sum[column, _LOG] += log_density
-        self._at[column], self._camera_at[column], self._expected[column] = bearing.t, bearing.camera, True
-        if math.isnan(self._begun_t):
-            self._begun_t = bearing.t
+        self.has_compared(bearing, np.array([column]))
+        self._expected[column] = True
 
     def hold_back(self, columns: Sequence[int], log_ratio: Array | float) -> None:
         """Take a log ratio from what speaks for each of some teammates."""
         for segment in self.segments:
             segment.sum[columns, _LOG] -= log_ratio
-
-    def _add_size(self, mates: Compared, along: Array, rho: float, *, compared_at: Array) -> None:
-        """A box says how far its drone is: of many, all err alike, and the first counts. along (m, 8): distances, of z.
-        The error is one of the distance's logarithm: a mixture of Gaussians of the distance."""
-        fresh = ~self._sized[mates.columns]
-        if not fresh.any():
-            return
-        mates, along, compared_at = mates.only(fresh), along[fresh], compared_at[fresh]
-        j, variance = mates.columns, mates.span_variance + BOX_SIZE_SIGMA_LN**2
-        # A place that is known at least within metres is at no small share of what the box says.
-        steps = np.where(mates.is_near, _DISTANCES_OF_NEAR[:, None], _DISTANCES[:, None])
-        distance = rho * np.exp(mates.log_span + steps)
-        residual = np.repeat(along[None], len(steps), axis=0)
-        residual[..., 4] -= distance
-        size = residual[..., :, None] * residual[..., None, :]
-        size /= ((DISTANCE_SHARE * distance) ** 2)[..., None, None]
-        weight = np.exp(-0.5 * steps**2 / variance)
-        log = np.log(weight / np.nansum(weight, axis=0))
-        log += math.log(STRANGER_DISTANCE_RANGE_LN / (DISTANCE_SHARE * math.sqrt(2.0 * math.pi)))
-        # The first bearing's density, per sr, was worked out at one distance for all.
-        log += 2.0 * np.log(np.minimum(np.clip(distance, *mates.within), mates.farthest) / compared_at)
-        self.size[:, j] = np.nan_to_num(size)
-        self.size_log[:, j] = np.where(np.isnan(steps), -np.inf, log)
-        self._sized[j] = True
 
     # --- segments ---
 

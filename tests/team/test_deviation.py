@@ -25,7 +25,7 @@ def folded_in(times, designs):
     """M (8, 8) of all bearings, and the sum of their normalisers."""
     filters, M, log = DeviationFilters(1), np.zeros((8, 8)), 0.0
     for t, G in zip(times, designs, strict=True):
-        left, S = filters.innovations(np.array([0]), G[None], AHEAD, t, DEVIATION)
+        left, S = filters.innovations(G[None], AHEAD[None], t, DEVIATION)
         M += left[0].T @ left[0] / S[0]
         log -= math.log(2.0 * math.pi * S[0])
     return M, log
@@ -60,10 +60,10 @@ def test_filters_turn_along():
     still, turned = DeviationFilters(1), DeviationFilters(1)
     to_old = np.eye(8) + 0.1 * chance.normal(size=(8, 8))
     for filters in (still, turned):
-        filters.innovations(np.array([0]), first[None], AHEAD, 0.0, DEVIATION)
+        filters.innovations(first[None], AHEAD[None], 0.0, DEVIATION)
     turned.turn(to_old, turn)
-    left, _ = still.innovations(np.array([0]), second[None], AHEAD, 0.3, DEVIATION)
-    same, _ = turned.innovations(np.array([0]), (turn @ second @ to_old)[None], turn @ AHEAD, 0.3, DEVIATION)
+    left, _ = still.innovations(second[None], AHEAD[None], 0.3, DEVIATION)
+    same, _ = turned.innovations((turn @ second @ to_old)[None], (turn @ AHEAD)[None], 0.3, DEVIATION)
     assert same[0] @ z == pytest.approx(turn @ left[0] @ to_old @ z)
 
 
@@ -72,10 +72,13 @@ def test_a_teammate_may_be_added_removed_and_begun_again():
     filters = DeviationFilters(2)
     G = np.stack([across(chance), across(chance)])
     both = Deviation(*(np.repeat(value, 2) for value in DEVIATION))
-    filters.innovations(np.array([0, 1]), G, AHEAD, 0.0, both)
+    filters.innovations(G, np.tile(AHEAD, (2, 1)), 0.0, both)
     filters.grow(3)
     filters.remove(0)
     filters.restart(0)
-    left, S = filters.innovations(np.array([0]), G[:1], AHEAD, 0.1, DEVIATION)
+    chosen = [(filters, np.array([0]))]
+    first = DeviationFilters.joined(chosen)
+    left, S = first.innovations(G[:1], AHEAD[None], 0.1, DEVIATION)
+    first.return_to(chosen)
     assert left[0] == pytest.approx(G[0])
     assert S[0] == pytest.approx(SIGMA**2 + WHITE)

@@ -9,6 +9,7 @@ from scipy.stats import multivariate_normal
 from swarmtrack.geometry import rotation
 from swarmtrack.team.evidence import (
     Marginal,
+    PriorsOfMany,
     TeammatePrior,
     design,
     log_evidence_of_nothing,
@@ -115,7 +116,7 @@ def test_each_component_is_the_integral_over_starts_and_headings(wanted, heading
             strict=True,
         )
     ]
-    log = marginal.log_evidence(prior, ERRORS, np.array([k]), heading_sigma).item()
+    log = marginal.log_evidence(PriorsOfMany.of_one(prior, 1), ERRORS, np.array([k]), heading_sigma).item()
     # A teammate whose heading is anywhere adds to the first; the angles are small, and 2000 draws are not many.
     assert log == pytest.approx(float(np.logaddexp.reduce(parts)), abs=0.35)
 
@@ -124,7 +125,9 @@ def test_the_right_component_explains_a_heading_that_is_off():
     found = bearings(np.random.default_rng(3), count=12, heading=math.radians(60.0))
     marginal = Marginal(matrix(found)[None], COV, SPREADS, doubting=False)
     used = np.arange(len(ERRORS))
-    log = marginal.log_evidence(TeammatePrior.of(MATE, ERRORS), ERRORS, used, math.radians(3.0))[0]
+    log = marginal.log_evidence(
+        PriorsOfMany.of_one(TeammatePrior.of(MATE, ERRORS), 1), ERRORS, used, math.radians(3.0)
+    )[0]
     best = ERRORS.components[int(log.argmax())]
     assert math.degrees(best.heading) == pytest.approx(60.0, abs=6.1)
 
@@ -165,5 +168,7 @@ def test_places_and_frames_follow_what_the_teammate_says():
 def test_what_a_teammate_out_of_view_says_is_known_without_a_sum(doubting):
     every = np.arange(len(ERRORS))
     nothing = Marginal(np.zeros((1, 8, 8)), COV, np.unique(ERRORS.spread), doubting=doubting)
-    (found,) = nothing.log_evidence(TeammatePrior.of(MATE, ERRORS), ERRORS, every, 0.05)
+    (found,) = nothing.log_evidence(
+        PriorsOfMany.of_one(TeammatePrior.of(MATE, ERRORS), 1), ERRORS, every, 0.05
+    )
     assert found == pytest.approx(log_evidence_of_nothing(every, doubting=doubting), abs=1e-12)

@@ -7,6 +7,7 @@ from swarmtrack.messages import AgreedMotion, Announcement
 from swarmtrack.team import mixture
 from swarmtrack.team.mixture import OwnKnowledge
 from swarmtrack.team.posterior import BearingScan, TeamPosterior
+from swarmtrack.team.priors import SMALL_TEAM
 from swarmtrack.team.track_evidence import Bearing
 
 MATES, SEEN, SCAN_S = 14, 11, 0.2
@@ -74,8 +75,9 @@ def test_most_pairs_sleep_once_names_are_sure(slept):
 
 
 def test_names_are_those_of_a_posterior_that_looks_at_all_pairs(slept, monkeypatch):
-    monkeypatch.setattr(mixture, "ALL_PAIRS_EVERY", 1)
+    monkeypatch.setattr(mixture, "LOG_PAIR_SLEEPS", -np.inf)
     awake = flight(14.0)
+    assert asleep(awake) == 0
     for id, named in awake.named.items():
         assert named.likeliest[0] == id
         assert slept.named[id].p == pytest.approx(named.p, abs=0.01)
@@ -97,8 +99,21 @@ def test_a_new_life_of_a_teammate_wakes_it(slept):
         assert np.isnan(track.faint[column])
 
 
+def test_where_few_of_many_are_in_view_most_pairs_sleep_as_well(monkeypatch):
+    monkeypatch.setitem(globals(), "SEEN", 7)
+    few = flight(10.0)
+    assert asleep(few) > 0.5 * MATES * SEEN
+    assert [few.named[id].likeliest[0] for id in range(2, 2 + SEEN)] == list(range(2, 2 + SEEN))
+
+
+def test_while_nothing_is_in_view_nothing_is_compared(monkeypatch):
+    monkeypatch.setitem(globals(), "SEEN", 0)
+    assert flight(3.0).named == {}
+
+
 def test_in_a_small_team_nothing_sleeps(monkeypatch):
     monkeypatch.setitem(globals(), "SEEN", 7)
+    monkeypatch.setitem(globals(), "IDS", range(2, 2 + SMALL_TEAM))
     small = flight(6.0)
     assert asleep(small) == 0
     assert small.mixture.looks_at_all

@@ -24,9 +24,9 @@ def test_what_is_left_of_many_rays_is_their_own_error():
     chance, before, after = np.random.default_rng(1), [], []
     for _ in range(200):
         rays = scan(20, chance)
-        attitude = ScanAttitude(rays)
+        found = ScanAttitude(rays).turned_back({track: ray.direction for track, ray in rays.items()})
         for track, ray in rays.items():
-            turned, left = attitude.turned_back(track, ray.direction)
+            turned, left = found[track]
             before.append(np.sum((ray.direction - ray.expected) ** 2) / 2.0)
             after.append(np.sum((turned - ray.expected) ** 2) / 2.0)
             assert 0.0 < left < 0.1
@@ -36,7 +36,7 @@ def test_what_is_left_of_many_rays_is_their_own_error():
 
 def test_one_ray_says_nothing_of_itself():
     rays = scan(1, np.random.default_rng(2), turn=np.array([0.0, 0.0, 0.01]))
-    turned, left = ScanAttitude(rays).turned_back(0, rays[0].direction)
+    turned, left = ScanAttitude(rays).turned_back({0: rays[0].direction})[0]
     assert turned == pytest.approx(rays[0].direction)
     assert left == pytest.approx(1.0)
 
@@ -45,7 +45,7 @@ def test_a_ray_without_a_name_is_turned_by_all_others():
     chance, turn = np.random.default_rng(3), np.array([0.008, -0.006, 0.012])
     rays = scan(21, chance, turn=turn)
     ray = rays.pop(0)
-    turned, _ = ScanAttitude(rays).turned_back(0, ray.direction)
+    turned, _ = ScanAttitude(rays).turned_back({0: ray.direction})[0]
     assert np.linalg.norm(turned - ray.expected) < 3.0 * OWN_SIGMA_RAD
     assert np.linalg.norm(ray.direction - ray.expected) > 3.0 * OWN_SIGMA_RAD
 
@@ -55,5 +55,5 @@ def test_a_teammate_that_is_elsewhere_turns_nobody():
     rays = scan(9, np.random.default_rng(4), turn=np.zeros(3))
     elsewhere = rays[0].expected + np.array([0.0, 0.25, 0.0])
     rays[0] = rays[0]._replace(expected=elsewhere / np.linalg.norm(elsewhere))
-    turned, _ = ScanAttitude(rays).turned_back(1, rays[1].direction)
+    turned, _ = ScanAttitude(rays).turned_back({1: rays[1].direction})[1]
     assert np.linalg.norm(turned - rays[1].expected) < 4.0 * OWN_SIGMA_RAD

@@ -16,8 +16,7 @@ def densities(directions, columns=1):
     return np.array(
         [
             filters.predict_and_update(
-                np.arange(columns),
-                d / np.linalg.norm(d),
+                np.tile(d / np.linalg.norm(d), (columns, 1)),
                 dt=STEP_S * ones * (k > 0),
                 parallax=np.zeros((columns, 3)),
                 variance=VARIANCE * ones,
@@ -63,8 +62,7 @@ def test_filters_turn_along():
     def see(direction, k):
         unit = direction / np.linalg.norm(direction)
         return filters.predict_and_update(
-            np.array([0]),
-            unit,
+            unit[None],
             dt=STEP_S * one * (k > 0),
             parallax=np.zeros((1, 3)),
             variance=VARIANCE * one,

@@ -5,7 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from swarmtrack.team.comparison import Compared, ComparedTrack, compare
 from swarmtrack.team.deviation import Deviation
+from swarmtrack.team.evidence import design
 from swarmtrack.team.priors import (
     BEARINGS_LAST_S,
     BOX_SIZE_SIGMA_LN,
@@ -13,7 +15,7 @@ from swarmtrack.team.priors import (
     DISTANCE_STEP_LN,
     SEGMENTS_KEPT,
 )
-from swarmtrack.team.track_evidence import COLUMN_OF_NOBODY, Bearing, Compared, Past, TrackEvidence
+from swarmtrack.team.track_evidence import COLUMN_OF_NOBODY, Bearing, Past, TrackEvidence
 
 MATES = 3
 
@@ -27,7 +29,7 @@ def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0,
     near = np.full(MATES, is_near)
     mates = Compared(
         np.arange(MATES),
-        places,
+        design(places, np.zeros(3)),
         deviation,
         0.0 * ones,
         BOX_SPAN_SIGMA_LN**2 * ones,
@@ -36,7 +38,7 @@ def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0,
         farthest * ones,
         within,
     )
-    track.add(bearing, mates, np.zeros(3))
+    compare([ComparedTrack(track, bearing, np.arange(MATES))], mates)
 
 
 def flown(times, begin=None):
@@ -93,7 +95,7 @@ def test_what_is_said_of_a_teammate_is_carried_into_another_frame_as_one_number(
     told = track.told()
     assert len(track.segments) == 1
     assert told.log[0, 1] == pytest.approx(4.0)
-    assert told.by_motion(0, 1)[1] == pytest.approx(1.0)
+    assert told.by_motion(0, np.array([1]))[1] == pytest.approx(np.array([[1.0]]))
     assert not told.M[0, 1].any()
     assert told.M[0][[0, 2]] == pytest.approx(others)
     add(track, 2.0, np.random.default_rng(20))
