@@ -1,7 +1,7 @@
 """What a scan costs in teams of 3 to 100: real `Onboard`s of all drones in one process, processor time by rooms.
 
-The scenario is `thirty` with that many drones: all stand on a circle and look across it. All announce, report, and hear
-all others, by `virtual_swarm`. In large teams only some of them, evenly spread, are shown a picture; the others' are
+The scenario is `thirty` with that many drones: all stand on a circle and look across it. All announce and report, and
+receive what a drone of such a team receives, by `virtual_swarm`. In large teams only some of them, evenly spread, are shown a picture; the others' are
 empty, so that a flight of a hundred takes minutes and not hours. Scans of the first seconds, in which everybody is
 new, count apart. Transports with as many drones are those of `swarmtrack bench clients`.
 """
@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import Benchmark, amount, several
+from swarmtrack.benchmarks.harness import Benchmark, amount, option, several
 from swarmtrack.benchmarks.identity.recognition import SwarmJudge
 from swarmtrack.benchmarks.processes import rss_mb
-from swarmtrack.benchmarks.virtual_swarm import Exposure, VirtualSwarm, oracle_eyes
+from swarmtrack.benchmarks.virtual_swarm import LEAD_S, Exposure, VirtualSwarm, oracle_eyes
 from swarmtrack.cameras.rig import Rig
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.messages import Detections
@@ -97,11 +97,11 @@ class Stopwatch:
         return timed
 
 
-def measure(drones: int, seconds: float, *, seed: int = 1) -> dict[str, Any]:
+def measure(drones: int, seconds: float, *, scenario: str = SCENARIO, seed: int = 1) -> dict[str, Any]:
     """One flight."""
-    scenario = load_scenario(SCENARIO, seed=seed, drones=drones)
-    seeing = frozenset(scenario.members[:: max(1, drones // MOST_SEEING)][:MOST_SEEING])
-    oracle = oracle_eyes(scenario)
+    flown = load_scenario(scenario, seed=seed, drones=drones)
+    seeing = frozenset(flown.members[:: max(1, drones // MOST_SEEING)][:MOST_SEEING])
+    oracle = oracle_eyes(flown)
 
     def eyes(seen: Exposure) -> Detections:
         if seen.drone_id in seeing:
@@ -109,8 +109,8 @@ def measure(drones: int, seconds: float, *, seed: int = 1) -> dict[str, Any]:
         return Detections(seen.stamp, seen.sequence, np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
 
     before, watch = rss_mb(), Stopwatch(seeing)
-    swarm = VirtualSwarm(scenario, eyes=eyes)
-    judge = SwarmJudge(swarm, scenario, seconds)
+    swarm = VirtualSwarm(flown, eyes=eyes)
+    judge = SwarmJudge(swarm, flown, seconds)
     tracks = []
     with watch.installed():
         for scan in swarm.fly(seconds):
@@ -119,7 +119,11 @@ def measure(drones: int, seconds: float, *, seed: int = 1) -> dict[str, Any]:
             judge.add_scan(scan, scan.t)
             if scan.t >= START_S:
                 tracks.append(len(scan.tracks.tracks))
-    return _summary(watch, judge, tracks, drones) | {"mb_per_drone": (rss_mb() - before) / drones}
+    heard = float(np.mean([swarm.received(drone) for drone in flown.members]))
+    return _summary(watch, judge, tracks, drones) | {
+        "mb_per_drone": (rss_mb() - before) / drones,
+        "reports_hz": heard / (seconds + LEAD_S),
+    }
 
 
 def _summary(watch: Stopwatch, judge: SwarmJudge, tracks: list[int], drones: int) -> dict[str, Any]:
@@ -145,8 +149,8 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     with report.progress(NAME, total=len(args.drones)) as advance:
         for drones in args.drones:
             advance(f"{drones} drones")
-            rows.append(measure(int(drones), seconds))
-    return {"scenario": SCENARIO, "seconds": seconds, "teams": rows}
+            rows.append(measure(int(drones), seconds, scenario=args.scenario))
+    return {"scenario": args.scenario, "seconds": seconds, "teams": rows}
 
 
 COLUMNS: report.Columns = (
@@ -157,6 +161,7 @@ COLUMNS: report.Columns = (
     ("at the start", "{start_ms:.1f}"),
     *((f"{room}, ms", f"{{rooms_ms[{room}]:.1f}}") for room in ("names", "metres", "tracker", "the rest")),
     ("a report heard, µs", "{report_us:.0f}"),
+    ("reports per s", "{reports_hz:.0f}"),
     ("MB per drone", "{mb_per_drone:.1f}"),
     *(
         (f"{share}, %", lambda row, share=share: f"{100.0 * row[share]:.2f}")
@@ -173,6 +178,7 @@ BENCH = Benchmark(
     ),
     options=(
         several("--drones", "in the team (default: %(default)s)", TEAMS),
+        option("--scenario", "name or file (default: %(default)s)", default=SCENARIO, metavar="NAME"),
         amount("--seconds", SECONDS, QUICK_SECONDS, "of flight", type=float, metavar="S"),
     ),
 )

@@ -19,6 +19,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
+from swarmtrack.identity.neighbours import is_far
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.lab.scenarios.oracle import OracleDetector
 from swarmtrack.lab.scenarios.scenario import Scenario
@@ -43,6 +44,7 @@ from swarmtrack.motion.ego import EgoHistory
 from swarmtrack.motion.gyro import GyroHistory
 from swarmtrack.motion.mounting import Mounting
 from swarmtrack.onboard import Onboard, OnboardCamera
+from swarmtrack.outputs.periods import NEIGHBOURS
 from swarmtrack.perceived import Perceived
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.runtime.filed import coded_motion, filed_announcement
@@ -138,6 +140,11 @@ class _Drone:
     strangers_of: float = -np.inf
     wanted: list[int] = dataclasses.field(default_factory=list)
     """Whose pose it wants and has not asked for yet."""
+    neighbours: frozenset[int] | None = None
+    """The teammates whose reports it receives; None: all. When it chose them, and how many reports came."""
+    chose_t: float = -np.inf
+    received: int = 0
+    announced_place: Array | None = None
     found: dict[int, tuple[Array, float, int]] = dataclasses.field(default_factory=dict)
     """By number, of the frames that are not tracked yet: centres (m, 2) px, when it was exposed [s, world time], and by
     which camera."""
@@ -314,8 +321,12 @@ class VirtualSwarm:
         self._drones[receiver].onboard.tell(said)
 
     def _deliver_to_all(self, sender: int, now: float, *said: PeerArrived | Said) -> None:
-        for receiver in self._drones:
+        for receiver, drone in self._drones.items():
             for one in said if receiver != sender else ():
+                is_report = not isinstance(one, PeerArrived | Announcement)
+                if is_report and drone.neighbours is not None and sender not in drone.neighbours:
+                    continue
+                drone.received += is_report
                 self._deliver(sender, receiver, one, now)
 
     def _due(self, what: str, index: int, rate: float) -> float:
@@ -349,6 +360,7 @@ class VirtualSwarm:
         for drone_id, drone in self._drones.items():
             if not self._runs(drone_id, now):
                 continue
+            self._choose_neighbours(drone, now)
             if now >= drone.announce_at:
                 self._announce(drone_id, drone, now)
             self._report(drone_id, drone, now)
@@ -363,6 +375,19 @@ class VirtualSwarm:
                     other.announce_at = min(other.announce_at, now + RADIO_S)
             drone.wanted.clear()
 
+    def _choose_neighbours(self, drone: _Drone, now: float) -> None:
+        """As `Teamwork.receive`."""
+        if now - drone.chose_t < NEIGHBOURS:
+            return
+        drone.chose_t, drone.neighbours = now, drone.onboard.neighbours(now, ())
+        own = None if drone.neighbours is None else drone.onboard.ego_pose(now)
+        if own is not None and is_far(own.position, drone.announced_place):
+            drone.announce_at = min(drone.announce_at, now)
+
+    def received(self, drone_id: int) -> int:
+        """How many reports of teammates it has received."""
+        return self._drones[drone_id].received
+
     def _announce(self, drone_id: int, drone: _Drone, now: float) -> None:
         drone.announce_at = np.inf
         pose = drone.onboard.announced_pose(now)
@@ -371,6 +396,7 @@ class VirtualSwarm:
             return
         start_sigma = self.scenario.announced[drone_id].position_sigma_m
         drone.announced += 1
+        drone.announced_place = pose.position
         self.announcements += 1
         self.announced_at.setdefault(drone_id, now)
         announcement = Announcement(

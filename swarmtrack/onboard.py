@@ -13,7 +13,7 @@ once they are known well enough. Both are functions of the stamps, so that here 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import assert_never
 
@@ -27,6 +27,7 @@ from swarmtrack.formation.setpoint import OwnFlight
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Consensus, Disagreement, OwnView
+from swarmtrack.identity.neighbours import Neighbours
 from swarmtrack.identity.news import Astray
 from swarmtrack.identity.paper import PaperIdentities
 from swarmtrack.identity.parameters import IdentityParameters
@@ -180,6 +181,7 @@ class Onboard:
             if identity.profile == "paper"
             else Identities(drone_id, cameras=lenses, parameters=identity, start_sigma_m=start_sigma_m)
         )
+        self._neighbours = Neighbours([max(each.lens.fx, each.lens.fy) for each in cameras])
         self._consensus = Consensus()
         self._view: OwnView | None = None
         measuring = [MeasuringCamera(each.lens, each.body_from_camera, each.tracker) for each in cameras]
@@ -282,6 +284,16 @@ class Onboard:
         """Whom this drone saw in its last scan; None where it does not know where it stands."""
         view, known = self._view, self._identities.teammates.announced
         return None if view is None else view.report(self._drone_id, boot, sequence, known)
+
+    def neighbours(self, t: float, needed: Collection[int]) -> frozenset[int] | None:
+        """The teammates whose reports are to be received, `needed` among them; None: all."""
+        own = self._ego.at(t)
+        return self._neighbours.of(
+            None if own is None else own.position,
+            self._identities.directions(),
+            self._identities.teammates,
+            needed,
+        )
 
     def motion_report(self, boot: str, sequence: int) -> MotionReport | None:
         """How this drone itself moves; None where it does not know."""

@@ -6,7 +6,7 @@ means is stated there.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -157,6 +157,7 @@ class TeamView(CamerasView, ReportsView, Protocol):
 
     def ego_pose(self, t: float) -> TeamPose | None: ...
     def announced_pose(self, t: float) -> TeamPose | None: ...
+    def neighbours(self, t: float, needed: Collection[int]) -> frozenset[int] | None: ...
 
 
 class Perceived(DetectorView, VideoView, HealthView, FormationView, FeedView, PilotView, TeamView, Protocol):

@@ -76,6 +76,10 @@ class PaperIdentities:
     def frame(self, drone_id: int) -> None:
         """Nor how frames stand to each other."""
 
+    def directions(self) -> Array:
+        """None: the method receives no reports."""
+        return np.zeros((0, 3))
+
     def p_none(self) -> dict[int, float]:
         """Every track is a teammate."""
         return {}

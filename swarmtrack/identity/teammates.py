@@ -39,9 +39,14 @@ class Teammates:
         return self._clashing.keys()
 
     @property
+    def unplaced(self) -> Set[int]:
+        """Who is alive with no pose that we know: these may be any track."""
+        return self._unannounced | self._clashing.keys()
+
+    @property
     def unlocated(self) -> int:
-        """How many are alive with no pose that we know: these may be any track."""
-        return len(self._unannounced | self._clashing.keys())
+        """How many are `unplaced`."""
+        return len(self.unplaced)
 
     def is_heard(self, drone_id: int) -> bool:
         """Whether what is said in its name counts: no word in ours does, and none of one that clashes."""

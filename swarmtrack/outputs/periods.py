@@ -13,6 +13,8 @@ IDENTITIES = 1.0
 # Whom we see as whom is told at once where it changed, but no more often than that.
 IDENTITIES_CHANGED = 0.1
 VIDEO = 0.1
+# Whose reports are received, in a large team.
+NEIGHBOURS = 1.0
 # Rays to strangers, while one is in view: what lasts of their errors is larger than what more of them would average.
 STRANGERS = 0.4
 

@@ -137,6 +137,7 @@ class Agent:
                     tasks.create_task(self._team.listen(), name="peers"),
                     tasks.create_task(self._team.announce(), name="announce"),
                     tasks.create_task(self._team.report(), name="identities"),
+                    tasks.create_task(self._team.receive(), name="neighbours"),
                     tasks.create_task(self._team.share(), name="motion"),
                     tasks.create_task(self._team.report_strangers(), name="strangers"),
                     tasks.create_task(self._publish_tracks(warm), name="tracks"),
@@ -543,6 +544,7 @@ def make_teamwork(
         share_hz=team.share_hz if team.share == "velocity" else None,
         on_report=None if parts.recorder is None else parts.recorder.record_sighting,
         simulated=parts.simulated_teammates,
+        needed=() if (plan := config.formation.plan()) is None else plan.slots.keys(),
     )
 
 

@@ -18,11 +18,13 @@ from swarmtrack.carried.own_place import CarriedNews
 from swarmtrack.clock import UTC_SIGMA, Clock, utc_offset
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.consensus import Disagreement
+from swarmtrack.identity.neighbours import is_far
 from swarmtrack.identity.news import Astray
 from swarmtrack.messages import (
     AgreedMotion,
     Announcement,
     AnnouncementRequested,
+    Array,
     DoubtNews,
     HeadingNews,
     IdClash,
@@ -68,7 +70,7 @@ class Teamwork:
     nothing is told to the team, and nothing asked. filed: what is known of teammates before they say it, and agreed:
     how they move without saying it. coded: all drones that sway by a code when the pilot says so. share_hz: how often
     the team is told how this drone moves; None: never. on_report: told of each report to the team. simulated:
-    teammates without agents, spoken for here.
+    teammates without agents, spoken for here. needed: teammates whose reports are received in a team however large.
     """
 
     def __init__(
@@ -91,6 +93,7 @@ class Teamwork:
         share_hz: float | None = None,
         on_report: Callable[[SightingReport], None] | None = None,
         simulated: Sequence[tuple[Transport, Announcement]] = (),
+        needed: Collection[int] = (),
     ) -> None:
         self._drone_id = drone_id
         self._boot = boot
@@ -109,9 +112,11 @@ class Teamwork:
         self._share_hz = share_hz
         self._on_report = on_report
         self._simulated = simulated
+        self._needed = needed
         self._posed = asyncio.Event()
         self._asked = asyncio.Event()
         self._announced = 0
+        self._announced_place: Array | None = None
         self._reports = 0
         self._reported: tuple[object, ...] = ()
         self._reported_at = -math.inf
@@ -205,6 +210,18 @@ class Teamwork:
             self._asked.clear()
             await self._announce(first=False)
 
+    async def receive(self) -> None:
+        """Until cancelled, in a large team: receive the reports of teammates nearby, and announce this drone again
+        where it is far from its last announcement, by which others know where it is."""
+        while True:
+            await asyncio.sleep(periods.NEIGHBOURS)
+            now = self._clock.now()
+            neighbours = self._perceived.neighbours(now, self._needed)
+            self._transport.receive_only(neighbours)
+            own = None if neighbours is None else self._perceived.ego_pose(now)
+            if own is not None and is_far(own.position, self._announced_place):
+                self._asked.set()
+
     async def report(self) -> None:
         """Until cancelled: whom this drone sees as whom, once a second and when it changed. Nothing of a silent one."""
         while not self._silent:
@@ -272,6 +289,7 @@ class Teamwork:
         assert pose is not None
         start, sigma = self._start if first else None, self._start_sigma_m
         self._announced += 1
+        self._announced_place = pose.position
         await self._transport.announce(
             Announcement(
                 drone_id=self._drone_id,

@@ -24,6 +24,7 @@ from swarmtrack.messages import (
     FOREIGN,
     AgreedMotion,
     Announcement,
+    Array,
     IdentifiedTrack,
     Membership,
     MotionProof,
@@ -85,6 +86,8 @@ class Identities:
         self._pose_requests = PoseRequests()
         self._view: ObserverCamera | None = None
         self._alive: dict[int, Track] = {}
+        self._directions: dict[int, Array] = {}
+        """By track, where it was detected last (3,), in team axes."""
         self._looked: dict[int, float] = {}
         """By camera, when its last scan was, s."""
         self._names: dict[int, tuple[int, float]] = {}
@@ -199,8 +202,11 @@ class Identities:
         self._alive = {track.id: track for track in tracks}
         self._looked[camera] = t
         shown = [track for track in self._alive.values() if track.camera == camera]
+        scan = _bearings(shown, view)
+        directions = self._directions | {id: bearing.direction for id, bearing in scan.bearings.items()}
+        self._directions = {id: directions[id] for id in self._alive if id in directions}
         self._posterior.observe(
-            _bearings(shown, view),
+            scan,
             self._alive.keys(),
             observer.position,
             OwnKnowledge(observer.position_sigma, math.sqrt(float(observer.attitude_cov[2, 2]))),
@@ -224,6 +230,10 @@ class Identities:
     def label(self, tracks: Iterable[Track]) -> tuple[IdentifiedTrack, ...]:
         """The same tracks, with who they are."""
         return tuple(self._labelled(track) for track in tracks)
+
+    def directions(self) -> Array:
+        """(n, 3): where tracks were detected last, in team axes."""
+        return np.array(list(self._directions.values())).reshape(-1, 3)
 
     def p_none(self) -> dict[int, float]:
         """By track, the probability that it is none of the teammates; nothing where one of these may be anywhere."""

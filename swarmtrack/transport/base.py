@@ -68,6 +68,10 @@ class Transport(Protocol):
         """
         ...
 
+    def receive_only(self, drones: frozenset[int] | None) -> None:
+        """Receive reports, motion and strangers of these teammates only; None: of all. Never blocks."""
+        ...
+
     def has_listener(self, kind: Kind, camera: int = 0) -> bool:
         """Whether there is a subscriber to what we publish of this kind; cheap. camera: as in `publish`."""
         ...

@@ -17,7 +17,7 @@ from swarmtrack.transport import keys
 from swarmtrack.transport.base import PUBLISHED, Kind
 from swarmtrack.transport.limits import MEMORY_CLASH_S
 from swarmtrack.transport.outgoing import Outgoing, Sign
-from swarmtrack.transport.peers import SUBSCRIBED, Peers, Verify
+from swarmtrack.transport.peers import REPORTS, SUBSCRIBED, Peers, Verify
 
 
 class MemoryHub:
@@ -124,6 +124,7 @@ class MemoryTransport:
         self._outgoing = Outgoing(team, drone_id, boot, clock, sign)
         self._reconciliation: asyncio.Task[None] | None = None
         self._published: Counter[str] = Counter()
+        self._received: frozenset[int] | None = None
 
     async def open(self) -> None:
         self._hub._join(self)
@@ -154,6 +155,10 @@ class MemoryTransport:
         key = keys.video_key(self.team, self.drone_id, camera) if kind is Kind.VIDEO else self._key(kind)
         self._hub._send(self, key, payload)
         return True
+
+    def receive_only(self, drones: frozenset[int] | None) -> None:
+        self._received = drones
+        self._peers.receive_only(drones)
 
     def has_listener(self, kind: Kind, camera: int = 0) -> bool:
         return bool(self._hub.listeners)
@@ -198,7 +203,9 @@ class MemoryTransport:
 
     def _receive(self, key: str, payload: bytes) -> None:
         address = keys.parse(key)
-        if address is not None and address.team == self.team and address.kind in SUBSCRIBED:
+        if address is None or address.team != self.team or address.kind not in SUBSCRIBED:
+            return
+        if self._received is None or address.kind not in REPORTS or address.drone_id in self._received:
             self._peers.on_message(key, payload, self._clock.now())
 
     def _receive_token(self, key: str, alive: bool) -> None:

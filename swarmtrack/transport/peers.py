@@ -76,12 +76,20 @@ SUBSCRIBED = {
 }  # for `on_message`, as counters name them
 
 
+REPORTS = (Kind.IDENTITIES, Kind.MOTION, Kind.STRANGER)
+"""What teammates say again and again."""
+
+
 def subscriptions(team: str, drone_id: int) -> list[str]:
-    """Key expressions of a drone's subscriptions, apart from tokens: all teammates, and ranges of its own radio
-    only.
-    """
-    others = [keys.key(team, kind, "*") for kind in SUBSCRIBED if kind is not Kind.RANGE]
-    return [*others, keys.key(team, Kind.RANGE, drone_id, "*")]
+    """Key expressions of a drone's subscriptions, apart from tokens and reports: all teammates' announcements, and
+    ranges of its own radio only."""
+    return [keys.key(team, Kind.POSE, "*"), keys.key(team, Kind.RANGE, drone_id, "*")]
+
+
+def report_subscriptions(team: str, received: Iterable[int] | None) -> set[str]:
+    """Key expressions of the reports of some teammates; None: of all."""
+    drones = ["*"] if received is None else received
+    return {keys.key(team, kind, drone) for kind in REPORTS for drone in drones}
 
 
 class Peers:
@@ -111,6 +119,7 @@ class Peers:
         self._newcomer = asyncio.Event()
         self._requested: dict[int, _Request] = {}
         self._announced = False
+        self._received: frozenset[int] | None = None
         self._due: dict[int, float] = {}
         """When to ask whom whose announcement is missing."""
         self._closed = False
@@ -201,8 +210,14 @@ class Peers:
         reopen = self._silence.to_reopen(present, now, queued=queued)
         return Remedies(reopen, self._silence.to_repeat(present, now, queued=queued))
 
+    def receive_only(self, drones: frozenset[int] | None) -> None:
+        """What others report is not received; None: all is."""
+        self._received = drones
+
     def _present(self, linked: Collection[int]) -> set[int]:
-        return {*self._membership.peers, *linked} - {self._drone_id}
+        """Of whom words are expected."""
+        present = {*self._membership.peers, *linked} - {self._drone_id}
+        return present if self._received is None else present & self._received
 
     def on_answer(self, drone_id: int, word: bytes = b"") -> None:
         """A teammate answered a query. A drone whose token is lost may answer too, and is not a teammate for that

@@ -41,7 +41,7 @@ from swarmtrack.transport.limits import (
 )
 from swarmtrack.transport.link_watch import LinksUp, LinkWatch, links_up
 from swarmtrack.transport.outgoing import JointAnswers, Outgoing, Sign
-from swarmtrack.transport.peers import Peers, Verify, subscriptions
+from swarmtrack.transport.peers import Peers, Verify, report_subscriptions, subscriptions
 from swarmtrack.transport.settings import Mode, NetworkSettings
 from swarmtrack.transport.tcp_options import keep_options
 from swarmtrack.transport.zenoh_bridge import Bridge
@@ -105,6 +105,11 @@ class ZenohTransport:
         self._giving_way = RateLimiter(network, clock)
         self._renewed = False
         self._declared: list[Any] = []
+        self._received: frozenset[int] | None = None
+        """The teammates whose reports are received; None: all."""
+        self._receiving: dict[str, Any] = {}
+        """By key expression, the subscribers to reports."""
+        self._received_others = asyncio.Event()
         self._tokens_declared = 0
         self._put_at = -math.inf
         self._together = JointAnswers[zenoh.Query]()
@@ -208,6 +213,7 @@ class ZenohTransport:
             ),
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
             asyncio.create_task(keep_options(), name="TCP options"),
+            asyncio.create_task(self._follow_received(), name="reports"),
             asyncio.create_task(
                 keep_knocking(self._network.callers, lambda: links_up(self._session).hosts), name="knocking"
             ),
@@ -233,6 +239,7 @@ class ZenohTransport:
             *self._declare_exchange(session),
             session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
         ]
+        self._receive(session)
         if self._outgoing.camera is not None:
             session.put(
                 self._outgoing.camera_key,
@@ -250,16 +257,41 @@ class ZenohTransport:
                 session.declare_queryable(key, zenoh.handlers.Callback(answer, indirect=False))
                 for key, answer in queryables.items()
             ),
-            *(
-                session.declare_subscriber(
-                    expression, self._messages.handler(), allowed_origin=zenoh.Locality.REMOTE
-                )
-                for expression in subscriptions(team, me)
-            ),
+            *(self._subscribe(session, expression) for expression in subscriptions(team, me)),
             session.liveliness().declare_subscriber(
                 keys.key(team, Kind.ALIVE, "*", "**"), self._tokens.handler(), history=True
             ),
         ]
+
+    def _subscribe(self, session: zenoh.Session, expression: str) -> Any:
+        return session.declare_subscriber(
+            expression, self._messages.handler(), allowed_origin=zenoh.Locality.REMOTE
+        )
+
+    def _receive(self, session: zenoh.Session) -> None:
+        """Subscribe to the reports that are to be received, and to no others."""
+        wanted = report_subscriptions(self._network.team, self._received)
+        for expression in self._receiving.keys() - wanted:
+            with contextlib.suppress(zenoh.ZError):  # undeclared already
+                self._receiving.pop(expression).undeclare()
+        for expression in wanted - self._receiving.keys():
+            self._receiving[expression] = self._subscribe(session, expression)
+
+    def receive_only(self, drones: frozenset[int] | None) -> None:
+        if drones != self._received:
+            self._received = drones
+            self._peers.receive_only(drones)
+            self._received_others.set()
+
+    async def _follow_received(self) -> None:
+        """Until cancelled: subscriptions follow `receive_only`."""
+        while True:
+            await self._received_others.wait()
+            self._received_others.clear()
+            async with self._changing:
+                if (session := self._session) is not None:
+                    with contextlib.suppress(TransportError):  # the links are gone, and made anew with this
+                        await bounded(partial(self._receive, session), SESSION_OPEN_S, "subscribe")
 
     async def _declare_again(self) -> None:
         """Declare again what Zenoh may have lost with a link, and never repeats by itself. The token stays, for those
@@ -278,6 +310,11 @@ class ZenohTransport:
                 with contextlib.suppress(zenoh.ZError):  # undeclared already
                     entity.undeclare()
             self._declared = [*self._declare_exchange(open_session), *kept]
+            for subscriber in self._receiving.values():
+                with contextlib.suppress(zenoh.ZError):
+                    subscriber.undeclare()
+            self._receiving = {}
+            self._receive(open_session)
             self._tokens_declared += 1
             further = keys.key(
                 self._network.team, Kind.ALIVE, self._drone_id, self._boot, self._tokens_declared
@@ -399,7 +436,8 @@ class ZenohTransport:
             task.cancel()
         self._tasks = []
         session, self._session = self._session, None
-        declared, self._declared = self._declared[::-1], []  # the token first: it is our farewell
+        declared = [*self._declared[::-1], *self._receiving.values()]  # the token first: it is our farewell
+        self._declared, self._receiving = [], {}
         self._publishers = {}
         if session is not None:
             await close_session(session, declared, self._network.listen)

@@ -28,6 +28,7 @@ from swarmtrack.messages import (
     RangeReport,
     SightingReport,
 )
+from swarmtrack.outputs import periods
 from swarmtrack.relative.range_watch import RangeNews
 from swarmtrack.runtime.agent import make_health, make_notices, make_teamwork
 from swarmtrack.runtime.assembly import assemble
@@ -375,3 +376,41 @@ async def test_a_drone_that_does_not_know_where_it_is_reports_that_it_lives(part
     await transport.close()
     assert (told[0].drone_id, told[0].boot, told[0].sightings) == (1, parts.boot, ())
     assert is_from_nowhere(told[0])
+
+
+async def test_in_a_large_team_the_nearest_are_received_and_who_has_flown_far_announces_itself_again(
+    parts, monkeypatch
+):
+    monkeypatch.setattr(periods, "NEIGHBOURS", 0.01)
+    hub = MemoryHub()
+    transport = MemoryTransport(hub, "swarm", 1, parts.boot, parts.clock)
+    ours = replace(parts, transport=transport)
+    announced: list[str] = []
+    hub.listeners.append(lambda key, payload: announced.append(key) if key.endswith("/pose/1") else None)
+    chosen: list[frozenset[int] | None] = []
+    monkeypatch.setattr(transport, "receive_only", chosen.append)
+
+    def fly(east):
+        now = parts.clock.now()
+        for k in range(-20, 1):
+            parts.door.tell(EgoPose(now + 0.02 * k, np.array([0.0, east, -5.0]), np.eye(3)))
+
+    team = make_teamwork(ours, make_health(ours), make_notices(ours), ours.door.tell)
+    fly(0.0)
+    await transport.open()
+    tasks = [asyncio.create_task(team.announce()), asyncio.create_task(team.receive())]
+    await eventually(lambda: announced and chosen)
+    assert chosen[-1] is None
+    fly(40.0)
+    await asyncio.sleep(0.05)
+    assert len(announced) == 1
+    for drone in range(2, 62):
+        place = np.array([0.0, 100.0 * drone, -5.0])
+        parts.door.tell(
+            Announcement(drone, "0000000a", 1, parts.clock.now(), 0.0, place, np.eye(3), np.eye(3))
+        )
+    await eventually(lambda: len(announced) == 2)
+    assert chosen[-1] == set(range(2, 22))
+    for task in tasks:
+        task.cancel()
+    await transport.close()

@@ -336,6 +336,36 @@ async def test_reports_of_sightings_are_told_in_order_and_once(start: Start) -> 
     assert reports(listener.told)[0].sightings[0].drone_id == 9
 
 
+async def test_the_reports_of_some_teammates_are_received_and_the_others_are_not_missed(start: Start) -> None:
+    listener, near, far = await start(1), await start(2), await start(3)
+    for other in (near, far):
+        await listener.until(lambda told, other=other: PeerArrived(other.drone_id, other.boot) in told)  # type: ignore[misc]
+        await other.until(lambda told: PeerArrived(1, listener.boot) in told)
+    sequences = itertools.count()
+
+    async def all_report_until(holds: Callable[[set[int]], bool]) -> None:
+        """By whom the reports are that come from now on."""
+        for _ in range(200):
+            listener.told.clear()
+            near.report(number := next(sequences))
+            far.report(number)
+            await asyncio.sleep(0.1)
+            if holds({told.observer for told in reports(listener.told)}):
+                return
+        raise AssertionError("never")
+
+    await all_report_until(lambda whose: whose == {2, 3})
+    listener.transport.receive_only(frozenset({2}))
+    await all_report_until(lambda whose: whose == {2})
+    await far.announce()
+    await listener.hears(3, far.boot)
+    await asyncio.sleep(3.0)
+    assert dict(listener.transport.status().counters).get("silent", 0) <= 1.0
+    assert "drone 3" not in listener.transport.status().text
+    listener.transport.receive_only(None)
+    await all_report_until(lambda whose: whose == {2, 3})
+
+
 async def test_a_report_from_nowhere_is_a_sign_of_life_and_says_nothing_else(start: Start) -> None:
     listener, lost = await start(1), await start(2)
     await lost.announce()

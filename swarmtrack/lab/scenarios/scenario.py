@@ -504,6 +504,13 @@ class Station(NamedTuple):
     phase: float = 0.0
 
 
+def _uneven(n: int, most_m: float) -> Array:
+    """(n, 3) m: by how much stations are off their even places, north and east."""
+    off = np.zeros((n, 3))
+    off[:, :2] = np.random.default_rng(n).uniform(-most_m, most_m, (n, 2))
+    return off
+
+
 class Ring(Section):
     """Stations on a circle about the origin, looking at its middle."""
 
@@ -522,9 +529,7 @@ class Ring(Section):
         radius = max(self.radius_m, n * self.spacing_m / (2.0 * math.pi))
         along, across = (1.3 * radius, 0.75 * radius) if n == 4 else (radius, radius)
         angle = math.pi + 2.0 * math.pi * np.arange(n) / n  # the first in the south, which looks north
-        heights = self.heights_m
-        off = np.zeros((n, 3))
-        off[:, :2] = np.random.default_rng(n).uniform(-self.uneven_m, self.uneven_m, (n, 2))
+        heights, off = self.heights_m, _uneven(n, self.uneven_m)
         return [
             Station(off[k] + (along * math.cos(a), across * math.sin(a), -heights[k % len(heights)]))
             for k, a in enumerate(angle)
@@ -547,9 +552,13 @@ class Lanes(Section):
     heights_m: Heights = Field(
         default=(5.0,), description="heights of a side's lanes above the ground, taken in turn, m"
     )
+    uneven_m: Annotated[Number, Field(ge=0.0)] = Field(
+        default=0.0, description="each stands off its even place, north and east, by up to this, m"
+    )
 
     def stations(self, n: int) -> list[Station]:
-        stations = []
+        stations: list[Station] = []
+        off = _uneven(n, self.uneven_m)
         for side, size, direction in ((0, n // 2, -1.0), (1, n - n // 2, 1.0)):
             for k in range(size):
                 lane, rank = k % self.lanes_a_side, k // self.lanes_a_side
@@ -559,6 +568,7 @@ class Lanes(Section):
                 east = self.spacing_m * (rank - (in_lane - 1) / 2.0 + shift)
                 north = direction * (self.gap_m / 2.0 + lane * self.lane_step_m)
                 position = np.array([north, east, -self.heights_m[lane % len(self.heights_m)]])
+                position += off[len(stations)]
                 stations.append(Station(position, side, 2.0 * math.pi * lane / self.lanes_a_side))
         return stations
 

@@ -26,6 +26,7 @@ from swarmtrack.motion.smooth import smooth_step
 SENSOR_NOISE_BLOCK = (
     256  # samples whose noise is drawn at once: a generator costs as much as a hundred of its numbers
 )
+SMALLEST_SHOWN_PX = 4.0  # larger side of a box that a detector can find at all
 OCCLUDED = 0.7  # share of a box that nearer boxes must cover for its drone to count as hidden
 MERGING = 0.3  # share of a box that a nearer one must cover for a detector to take both for one thing
 
@@ -270,6 +271,7 @@ def shown(boxes: Mapping[int, Array], camera: PinholeCamera) -> dict[int, Array]
     table = np.array(list(boxes.values())).reshape(-1, 4)
     beyond = (camera.width - 0.5, camera.height - 0.5)
     inside = np.asarray(((table[:, :2] >= -0.5) & (table[:, :2] < beyond)).all(axis=1))
+    inside &= table[:, 2:].max(axis=1, initial=0.0) >= SMALLEST_SHOWN_PX
     ids, table = list(compress(boxes, inside.tolist())), table[inside]
     hides = _coverage(table) >= OCCLUDED
     seen: list[int] = []

@@ -43,6 +43,7 @@ ASKED += [
     "silent",
     "thirty",
     "two-cameras",
+    "two-lines",
     "visitor",
     "yawing-observer",
 ]
