@@ -270,12 +270,12 @@ class ZenohTransport:
 
     def _receive(self, session: zenoh.Session) -> None:
         """Subscribe to the reports that are to be received, and to no others."""
-        wanted = report_subscriptions(self._network.team, self._received)
-        for expression in self._receiving.keys() - wanted:
+        wanted, receiving = report_subscriptions(self._network.team, self._received), self._receiving
+        for expression in receiving.keys() - wanted:
             with contextlib.suppress(zenoh.ZError):  # undeclared already
-                self._receiving.pop(expression).undeclare()
-        for expression in wanted - self._receiving.keys():
-            self._receiving[expression] = self._subscribe(session, expression)
+                receiving.pop(expression).undeclare()
+        for expression in wanted - receiving.keys():
+            receiving[expression] = self._subscribe(session, expression)
 
     def receive_only(self, drones: frozenset[int] | None) -> None:
         if drones != self._received:
@@ -399,6 +399,7 @@ class ZenohTransport:
             "silent": len(silent),
             "links": up.count,
             "strangers": len(self._watch.strangers(up)),
+            **({} if self._received is None else {"reports_from": len(self._received)}),
             **self._certificate(),
             **self._outgoing.counters,
             "samples_dropped": sum(bridge.dropped for bridge in self._bridges),
