@@ -36,7 +36,8 @@ class Compared(NamedTuple):
     columns (m,): where they stand; design (m, 3, 8): `evidence.design` of where each says that it was; deviation: how
     far it may be from there; log_span, span_variance (m,): size as a share of `BOX_SPAN_M`, ln, and its variance;
     log_there (m,): log prior that it is about there at all; farthest (m,) m: beyond that it can hardly be, by what it
-    says; within [m]: the least and the largest distance at which one of them says that it is.
+    says; within [m]: the least and the largest distance at which one of them says that it is; team_span: size of the
+    team's drones as a share of `BOX_SPAN_M`, as learned so far.
     """
 
     columns: NDArray[np.intp]
@@ -48,6 +49,7 @@ class Compared(NamedTuple):
     log_there: Array
     farthest: Array
     within: tuple[float, float]
+    team_span: float
 
     def only(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Compared:
         """Some of them."""
@@ -61,6 +63,7 @@ class Compared(NamedTuple):
             self.log_there[chosen],
             self.farthest[chosen],
             self.within,
+            self.team_span,
         )
 
 
@@ -98,7 +101,7 @@ class _Pairs(NamedTuple):
         box, variance, lasting = np.array([(b.distance, b.variance, b.lasting) for b in bearings])[of].T
         # All errors are compared at one distance, the box's, within those at which teammates are stated to be; of one
         # that can hardly be so far away, at its farthest.
-        rho = np.minimum(np.clip(box, *mates.within), mates.farthest)
+        rho = np.minimum(np.clip(mates.team_span * box, *mates.within), mates.farthest)
         white = variance * rho**2 + mates.deviation.white
         return cls(
             of,

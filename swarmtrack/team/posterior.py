@@ -36,6 +36,7 @@ from swarmtrack.team.priors import (
     BOX_LEARNED_EVERY_S,
     BOX_SIZE_SIGMA_LN,
     BOX_SPAN_LEAST_SIGMA_LN,
+    BOX_SPAN_SIGMA_LN,
     CALM_WEIGHED_EVERY_S,
     CARRIED_MOST,
     ELSEWHERE_GATE,
@@ -384,6 +385,7 @@ class TeamPosterior:
             log_there=np.array([mate.log_waits(scan.t) for mate in near]),
             farthest=away + 2.0 * START_OFF_SIGMA_M[-1],
             within=_within(away),
+            team_span=self._team_span(),
         )
         expected = self.mixture.expected_places([mate.drone_id for mate in near], compared.design)
         bearings = self._without_attitude(scan, near, compared.deviation, expected)
@@ -402,6 +404,16 @@ class TeamPosterior:
                 which &= np.isnan(track.faint[compared.columns])
             pairs.append(ComparedTrack(track, bearings[id], np.flatnonzero(which)))
         compare(pairs, compared)
+
+    def _team_span(self) -> float:
+        """Size of the team's drones as a share of `BOX_SPAN_M`: those of a team are alike, as far as is known."""
+        learned = [
+            (mate.log_span, BOX_SPAN_SIGMA_LN**2 / mate.span_variance - 1.0)
+            for mate in self.teammates.values()
+            if math.isfinite(mate.sized_t)
+        ]
+        known = sum(weight for _, weight in learned)
+        return math.exp(sum(log_span * weight for log_span, weight in learned) / (known + 1.0))
 
     def _wake(
         self, ids: Sequence[int], bearings: Mapping[int, Bearing], columns: NDArray[np.intp], expected: Array

@@ -20,7 +20,7 @@ from swarmtrack.team.track_evidence import COLUMN_OF_NOBODY, Bearing, Past, Trac
 MATES = 3
 
 
-def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0, farthest=math.inf):
+def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0, farthest=math.inf, span=1.0):
     direction = np.array([1.0, *chance.normal(0.0, 0.05, 2)])
     bearing = Bearing(t, np.zeros(3), np.zeros(2), direction / np.linalg.norm(direction), 1e-4, distance)
     places = np.tile([8.0, 0.0, 0.0], (MATES, 1)) + chance.normal(0.0, 0.3, (MATES, 3))
@@ -37,6 +37,7 @@ def add(track, t, chance, *, is_near=True, within=(0.0, math.inf), distance=8.0,
         0.0 * ones,
         farthest * ones,
         within,
+        span,
     )
     compare([ComparedTrack(track, bearing, np.arange(MATES))], mates)
 
@@ -194,3 +195,13 @@ def test_what_a_teammate_says_of_itself_replaces_where_it_was_last_seen():
         add(track, 0.5, np.random.default_rng(1))
     assert expected.told().log == pytest.approx(fresh.told().log)
     assert pytest.approx(fresh.told().M) == expected.told().M
+
+
+def test_errors_of_larger_drones_are_compared_at_larger_distances():
+    """What looks eight metres away is sixteen metres away where the team's drones are twice as large."""
+    usual, large, far = (TrackEvidence(MATES, 0) for _ in range(3))
+    add(usual, 0.0, np.random.default_rng(1))
+    add(large, 0.0, np.random.default_rng(1), span=2.0)
+    add(far, 0.0, np.random.default_rng(1), distance=16.0)
+    assert pytest.approx(far.told().M) == large.told().M
+    assert np.trace(large.told().M[0, 0]) < 0.6 * np.trace(usual.told().M[0, 0])
