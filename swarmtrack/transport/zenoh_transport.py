@@ -239,6 +239,7 @@ class ZenohTransport:
             *self._declare_exchange(session),
             session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
         ]
+        self._receiving = {}  # those of an earlier session ended with it
         self._receive(session)
         if self._outgoing.camera is not None:
             session.put(
@@ -289,9 +290,15 @@ class ZenohTransport:
             await self._received_others.wait()
             self._received_others.clear()
             async with self._changing:
-                if (session := self._session) is not None:
-                    with contextlib.suppress(TransportError):  # the links are gone, and made anew with this
-                        await bounded(partial(self._receive, session), SESSION_OPEN_S, "subscribe")
+                if (session := self._session) is None:
+                    continue  # links are being made anew, with this
+                try:
+                    await bounded(partial(self._receive, session), SESSION_OPEN_S, "subscribe")
+                except TransportError as error:
+                    log.info("%s", error)
+                    self._received_others.set()
+            if self._received_others.is_set():
+                await asyncio.sleep(SILENCE_CHECK_PERIOD_S)
 
     async def _declare_again(self) -> None:
         """Declare again what Zenoh may have lost with a link, and never repeats by itself. The token stays, for those
