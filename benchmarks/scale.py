@@ -1,9 +1,9 @@
 """What a scan costs in teams of 3 to 100: real `Onboard`s of all drones in one process, processor time by rooms.
 
 The scenario is `thirty` with that many drones: all stand on a circle and look across it. All announce and report, and
-receive what a drone of such a team receives, by `virtual_swarm`. In large teams only some of them, evenly spread, are shown a picture; the others' are
-empty, so that a flight of a hundred takes minutes and not hours. Scans of the first seconds, in which everybody is
-new, count apart. Transports with as many drones are those of `swarmtrack bench clients`.
+receive what a drone of such a team receives, by `virtual_swarm`. In large teams only some of them, evenly spread, are
+shown a picture; the others' are empty, so that a flight of a hundred takes minutes and not hours. Scans of the first
+seconds, in which everybody is new, count apart. Transports with as many drones are those of `swarmtrack bench clients`.
 """
 
 from __future__ import annotations
