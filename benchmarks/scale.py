@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 
 from swarmtrack.benchmarks import report
-from swarmtrack.benchmarks.harness import Benchmark, amount, option, several
+from swarmtrack.benchmarks.harness import Benchmark, amount, flag, option, several
 from swarmtrack.benchmarks.identity.recognition import SwarmJudge
 from swarmtrack.benchmarks.processes import rss_mb
-from swarmtrack.benchmarks.virtual_swarm import LEAD_S, Exposure, VirtualSwarm, oracle_eyes
+from swarmtrack.benchmarks.virtual_swarm import LEAD_S, AllReports, Exposure, VirtualSwarm, oracle_eyes
 from swarmtrack.cameras.rig import Rig
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.messages import Detections
@@ -97,8 +97,10 @@ class Stopwatch:
         return timed
 
 
-def measure(drones: int, seconds: float, *, scenario: str = SCENARIO, seed: int = 1) -> dict[str, Any]:
-    """One flight."""
+def measure(
+    drones: int, seconds: float, *, scenario: str = SCENARIO, all_reports: bool = False, seed: int = 1
+) -> dict[str, Any]:
+    """One flight. all_reports: everybody receives those of the whole team."""
     flown = load_scenario(scenario, seed=seed, drones=drones)
     seeing = frozenset(flown.members[:: max(1, drones // MOST_SEEING)][:MOST_SEEING])
     oracle = oracle_eyes(flown)
@@ -109,7 +111,7 @@ def measure(drones: int, seconds: float, *, scenario: str = SCENARIO, seed: int 
         return Detections(seen.stamp, seen.sequence, np.empty((0, 2)), np.empty((0, 2)), np.empty(0))
 
     before, watch = rss_mb(), Stopwatch(seeing)
-    swarm = VirtualSwarm(flown, eyes=eyes)
+    swarm = (AllReports if all_reports else VirtualSwarm)(flown, eyes=eyes)
     judge = SwarmJudge(swarm, flown, seconds)
     tracks = []
     with watch.installed():
@@ -149,7 +151,7 @@ def _measured(args: argparse.Namespace) -> dict[str, Any]:
     with report.progress(NAME, total=len(args.drones)) as advance:
         for drones in args.drones:
             advance(f"{drones} drones")
-            rows.append(measure(int(drones), seconds, scenario=args.scenario))
+            rows.append(measure(int(drones), seconds, scenario=args.scenario, all_reports=args.all_reports))
     return {"scenario": args.scenario, "seconds": seconds, "teams": rows}
 
 
@@ -179,6 +181,7 @@ BENCH = Benchmark(
     options=(
         several("--drones", "in the team (default: %(default)s)", TEAMS),
         option("--scenario", "name or file (default: %(default)s)", default=SCENARIO, metavar="NAME"),
+        flag("--all-reports", "every drone receives the reports of the whole team"),
         amount("--seconds", SECONDS, QUICK_SECONDS, "of flight", type=float, metavar="S"),
     ),
 )

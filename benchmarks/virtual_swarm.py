@@ -376,7 +376,7 @@ class VirtualSwarm:
             drone.wanted.clear()
 
     def _choose_neighbours(self, drone: _Drone, now: float) -> None:
-        """As `Teamwork.receive`."""
+        """As `Teamwork.receive`; overridden where all reports are received."""
         if now - drone.chose_t < NEIGHBOURS:
             return
         drone.chose_t, drone.neighbours = now, drone.onboard.neighbours(now, ())
@@ -452,6 +452,12 @@ class VirtualSwarm:
     def _said(self, report: MotionReport) -> MotionReport:
         """What a drone says of its motion; overridden where it lies."""
         return report
+
+
+class AllReports(VirtualSwarm):
+    """Every drone receives the reports of the whole team, however large."""
+
+    def _choose_neighbours(self, drone: _Drone, now: float) -> None: ...
 
 
 def _yaw(angle: float) -> Array:

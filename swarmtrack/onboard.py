@@ -181,11 +181,12 @@ class Onboard:
             if identity.profile == "paper"
             else Identities(drone_id, cameras=lenses, parameters=identity, start_sigma_m=start_sigma_m)
         )
-        self._neighbours = Neighbours([max(each.lens.fx, each.lens.fy) for each in cameras])
         self._consensus = Consensus()
         self._view: OwnView | None = None
         measuring = [MeasuringCamera(each.lens, each.body_from_camera, each.tracker) for each in cameras]
         relative = relative or RelativeParameters()
+        focal = [max(each.lens.fx, each.lens.fy) for each in cameras]
+        self._neighbours = Neighbours(focal, relative.width_m)
         self._metres = Metres(drone_id, relative, cameras=measuring, ego=ego, places_anybody=places_anybody)
         self._strangers = Strangers(drone_id, relative, cameras=measuring)
         self._own_place = OwnPlace(

@@ -11,7 +11,7 @@ whom they lean. A teammate whose place leans on this drone is no evidence of whe
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -240,11 +240,13 @@ class OwnPlace:
         self, look: TeamLook, camera: int, own: TeamPose, team: TeamKnowledge, dt: float
     ) -> dict[int, OwnRay]:
         """To teammates that can hold us, by drone; dt [s]: since the last ones."""
-        rays, width, may_hold = {}, self._p.box_width, self._may_hold(look.t)
+        rays, width = {}, self._p.box_width
+        # While as many as there may be hold us, no others are needed.
+        holders = self._filter if self._is_full(look.t) else None
         # White noise that tells as little in the long run as what wanders.
         often = 1.0 / math.tanh(0.5 * max(dt, 1e-3) / width.wander_s)
         for i, (drone, _) in enumerate(look.keys):
-            if may_hold is not None and drone not in may_hold:
+            if holders is not None and drone not in holders:
                 continue
             anchor = self._anchors.get(drone)
             where = team.said_place(drone, look.t) if math.isfinite(float(look.ray[i, 0])) else None
@@ -263,12 +265,12 @@ class OwnPlace:
             )
         return rays
 
-    def _may_hold(self, t: float) -> Collection[int] | None:
-        """The only teammates that can hold us at t [s]: those that do, while they are enough; None: any."""
+    def _is_full(self, t: float) -> bool:
+        """Whether as many teammates hold us at t [s] as there may be."""
         found = self._filter
-        if found is None or len(found) < ANCHORS_MOST:
-            return None
-        return set(found) if self._anchors[self._oldest(found)].holds(t) else None
+        return (
+            found is not None and len(found) >= ANCHORS_MOST and self._anchors[self._oldest(found)].holds(t)
+        )
 
     def _oldest(self, drones: Iterable[int]) -> int:
         return min(drones, key=lambda drone: self._anchors[drone].last_t)
@@ -282,11 +284,10 @@ class OwnPlace:
         found, anchor = self._filter, self._anchors[drone]
         assert found is not None
         if drone not in found:
+            if self._is_full(found.t):
+                return False
             if len(found) >= ANCHORS_MOST:
-                gone = self._oldest(found)
-                if self._anchors[gone].holds(found.t):
-                    return False
-                found.remove_teammate(gone)
+                found.remove_teammate(self._oldest(found))
             found.add_teammate(drone, anchor.place_var * _EYE, self._p.lasting)
         distance = float(np.linalg.norm(ray.said - found.moments(OWN_PLACE).mean))
         if math.isfinite(ray.log_range):

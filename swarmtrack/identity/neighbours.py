@@ -15,6 +15,7 @@ from collections.abc import Collection
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmtrack.geometry.covariance import worst_sigma
 from swarmtrack.identity.teammates import Teammates
 from swarmtrack.messages import Array
 
@@ -30,18 +31,18 @@ _STALE_M = 2.0 * ANNOUNCED_AGAIN_M
 _STAYS_M = 10.0
 # Directions of tracks and teammates may be so far apart: the errors of headings and starts.
 _ALONG_RAD = math.radians(10.0)
-# m and px: what size drones have, and of how small a box a detection may be.
-_SPAN_M, _SMALLEST_SEEN_PX = 0.6, 5.0
-# An announcement that knows less, m per axis, is no place.
+# px: a detection may be of so small a box.
+_SMALLEST_SEEN_PX = 5.0
+# An announcement that knows less, m on its worst axis, is no place.
 _VAGUE_M = 10.0
 
 
 class Neighbours:
     """Chooses them anew at each call of `of`."""
 
-    def __init__(self, focal_px: Collection[float]) -> None:
-        """focal_px: of the cameras, pixels per radian."""
-        self._sight_m = _SPAN_M * max(focal_px, default=0.0) / _SMALLEST_SEEN_PX + _STALE_M
+    def __init__(self, focal_px: Collection[float], width_m: float) -> None:
+        """focal_px: of the cameras, pixels per radian; width_m: of a teammate's box."""
+        self._sight_m = width_m * max(focal_px, default=0.0) / _SMALLEST_SEEN_PX + _STALE_M
         self._received: frozenset[int] = frozenset()
 
     def of(
@@ -52,11 +53,10 @@ class Neighbours:
         known, self._received, before = teammates.announced, frozenset(), self._received
         if place is None:
             return None
-        somewhere = {drone for drone, said in known.items() if not _is_place(said.position_cov)}
+        somewhere = {drone for drone, said in known.items() if worst_sigma(said.position_cov) > _VAGUE_M}
         placed = sorted(known.keys() - somewhere)
-        away = np.array([teammates.whereabouts.latest(drone).position - place for drone in placed]).reshape(
-            -1, 3
-        )
+        places = [teammates.whereabouts.latest(drone).position for drone in placed]
+        away = np.array(places).reshape(-1, 3) - place
         distance = np.linalg.norm(away, axis=1)
         order = distance - _STAYS_M * np.isin(placed, list(before))
         may_be_seen = (order < self._sight_m) | _is_along(away, distance, seen)
@@ -80,7 +80,3 @@ def _is_along(away: Array, distance: Array, seen: Array) -> NDArray[np.bool_]:
 def is_far(place: Array, announced: Array | None) -> bool:
     """Whether a drone of a large team at place (3,) m is too far from where it announced itself, None: it has not."""
     return announced is not None and float(np.linalg.norm(place - announced)) > ANNOUNCED_AGAIN_M
-
-
-def _is_place(cov: Array) -> bool:
-    return math.sqrt(float(np.trace(cov)) / 3.0) <= _VAGUE_M

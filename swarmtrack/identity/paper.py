@@ -77,7 +77,7 @@ class PaperIdentities:
         """Nor how frames stand to each other."""
 
     def directions(self) -> Array:
-        """None: the method receives no reports."""
+        """Of no use here: the method takes no reports."""
         return np.zeros((0, 3))
 
     def p_none(self) -> dict[int, float]:

@@ -51,7 +51,7 @@ class Compared(NamedTuple):
     within: tuple[float, float]
     team_span: float
 
-    def only(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Compared:
+    def only(self, chosen: NDArray[np.intp]) -> Compared:
         """Some of them."""
         return Compared(
             self.columns[chosen],
@@ -78,18 +78,16 @@ class ComparedTrack(NamedTuple):
 class _Pairs(NamedTuple):
     """All pairs of some tracks' bearings and teammates, one track after the other.
 
-    of: by pair, which of the tracks; by_track: by track, its pairs; columns: by track, where its teammates stand;
-    direction (n, 3): of bearings; rho (n,) m: the distance at which errors are compared.
+    by_track: by track, its pairs; columns: by track, where its teammates stand; direction (n, 3): of bearings; rho (n,)
+    m: the distance at which errors are compared; deviation: all white errors of the bearing included.
     """
 
-    of: NDArray[np.intp]
     by_track: Sequence[slice]
     columns: Sequence[NDArray[np.intp]]
     mates: Compared
     direction: Array
     rho: Array
     deviation: Deviation
-    variance: Array
 
     @classmethod
     def of_all(cls, due: Sequence[ComparedTrack], mates: Compared) -> _Pairs:
@@ -104,14 +102,12 @@ class _Pairs(NamedTuple):
         rho = np.minimum(np.clip(mates.team_span * box, *mates.within), mates.farthest)
         white = variance * rho**2 + mates.deviation.white
         return cls(
-            of,
             by_track,
             [mates.columns[rows] for rows in by_track],
             mates,
             np.array([bearing.direction for bearing in bearings])[of],
             rho,
             Deviation(np.hypot(mates.deviation.sigma, lasting * rho), mates.deviation.bandwidth, white),
-            white / rho**2,
         )
 
     def of_tracks(self, tracks: Iterable[int]) -> NDArray[np.intp]:
@@ -137,10 +133,10 @@ def compare(pairs: Sequence[ComparedTrack], mates: Compared) -> None:
     segments = [
         (i, segment) for i, one in enumerate(due) for segment in one.track.segments if t >= segment.since
     ]
-    left, S = _innovations(segments, these, across, t)
     at = these.of_tracks(i for i, _ in segments)
+    left, S = _innovations(segments, at, these, across, t)
     # What the whole track says of a pair: its first segment comes last here, and stays.
-    least = np.empty(len(these.of))
+    least = np.empty(len(these.rho))
     least[at[::-1]] = S[::-1]
     density = _stranger_densities(due, these, least / these.rho**2)
     M = left.swapaxes(1, 2) @ left / S[:, None, None]
@@ -159,10 +155,14 @@ def compare(pairs: Sequence[ComparedTrack], mates: Compared) -> None:
 
 
 def _innovations(
-    segments: Sequence[tuple[int, TrackSegment]], pairs: _Pairs, across: Array, t: float
+    segments: Sequence[tuple[int, TrackSegment]],
+    at: NDArray[np.intp],
+    pairs: _Pairs,
+    across: Array,
+    t: float,
 ) -> tuple[Array, Array]:
-    """`DeviationFilters.innovations` of segments, one after the other, each with its track's index."""
-    at = pairs.of_tracks(i for i, _ in segments)
+    """`DeviationFilters.innovations` of segments, each with its track's index; at: their pairs, one segment after the
+    other."""
     parts = [(segment.deviation, pairs.columns[i]) for i, segment in segments]
     filters = DeviationFilters.joined(parts)
     deviation = Deviation(*(each[at] for each in pairs.deviation))
@@ -185,7 +185,7 @@ def _stranger_densities(due: Sequence[ComparedTrack], pairs: _Pairs, least: Arra
         pairs.direction,
         dt=np.where(first, 0.0, t - last_t),
         parallax=-across / pairs.rho[:, None],
-        variance=pairs.variance,
+        variance=pairs.deviation.white / pairs.rho**2,
         least=least,
         distance=pairs.rho,
     )

@@ -200,8 +200,7 @@ def moments(found: Sequence[tuple[float, tuple[Array, Array]]]) -> tuple[Array, 
 
 
 def _inverse(A: Array) -> tuple[Array, Array]:
-    """Inverses (3, 3, …) of many symmetric positive definite (3, 3, …), and determinants (…): by cofactors, in a fifth
-    of LAPACK's time."""
+    """Inverses (3, 3, …) of many symmetric positive definite (3, 3, …), and determinants (…), by cofactors."""
     (a, b, c), (_, d, e), (_, _, f) = A
     cofactors = d * f - e * e, c * e - b * f, b * e - c * d, a * f - c * c, b * c - a * e, a * d - b * b
     determinant = a * cofactors[0] + b * cofactors[1] + c * cofactors[2]
@@ -210,7 +209,7 @@ def _inverse(A: Array) -> tuple[Array, Array]:
 
 
 def _product(a: Array, b: Array) -> Array:
-    """(i, j, …): many products of (i, 3, …) and (3, j, …), in a third of matmul's time."""
+    """(i, j, …): products of many (i, 3, …) and (3, j, …)."""
     return np.asarray(a[:, 0, None] * b[0] + a[:, 1, None] * b[1] + a[:, 2, None] * b[2])
 
 

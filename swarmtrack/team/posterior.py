@@ -136,8 +136,8 @@ class TeamPosterior:
         """By track, when it was named surely, s."""
         self._agreed: defaultdict[int, list[AgreedMotion]] = defaultdict(list)
         self._weighed = -math.inf
-        self._weighings_of_places = 0
-        """Since what motion alone says was worked out last."""
+        self._weighed_since_motion = 0
+        """How often, since what motion alone says was worked out last."""
         self._team_has_changed = False
 
     @property
@@ -369,12 +369,15 @@ class TeamPosterior:
         """Tracks with teammates, in one scan."""
         assert self._start is not None
         some = [] if self._adrift.lost or not ids else [mate for mate in mates if not mate.adrift.lost]
-        near, said = _within_reach(some, scan.t)
-        if not near:
+        placed = [(mate, mate.at(scan.t)) for mate in some]
+        within = [one for one in placed if math.dist(one[1].place, one[0].start) < FARTHEST_COMPARED_M]
+        if not within:
             return
+        near, said = zip(*within, strict=True)
         place = np.array([one.place for one in said])
         knows_start = np.array([mate.knows_start for mate in near])
-        away = np.where(knows_start, _lengths(place - scan.origin).clip(NEAREST_BOX_M), np.inf)
+        distance = np.linalg.norm(place - scan.origin, axis=1)
+        away = np.where(knows_start, distance.clip(NEAREST_BOX_M), np.inf)
         compared = Compared(
             columns=np.array([mate.column for mate in near]),
             design=design(place - np.array([mate.start for mate in near]), scan.origin - self._start),
@@ -542,9 +545,9 @@ class TeamPosterior:
             track.begin_due_segment()
         P = self.mixture.weigh(tracks, mates, t, self._known).tolist()
         moved = {id: named.by_motion for id, named in self.named.items()}
-        self._weighings_of_places += 1
-        if self.mixture.looks_at_all or self._weighings_of_places >= MOTION_WEIGHED_EVERY:
-            self._weighings_of_places = 0
+        self._weighed_since_motion += 1
+        if self.mixture.looks_at_all or self._weighed_since_motion >= MOTION_WEIGHED_EVERY:
+            self._weighed_since_motion = 0
             rows = self.mixture.by_motion(tracks, mates, self._known).tolist() if tracks else []
             moved = {id: dict(zip(ids, row, strict=True)) for id, row in zip(self._tracks, rows, strict=True)}
         for id, p in zip(self._tracks, P, strict=True):
@@ -604,22 +607,6 @@ class TeamPosterior:
         return np.asarray(
             design((said.place - mate.start)[None], self._scans[camera][-1].origin - self._start)[0]
         )
-
-
-def _within_reach(mates: Collection[Teammate], t: float) -> tuple[list[Teammate], list[SaidPlace]]:
-    """Those that are not farther from their starts than any bearing is of, and where they say that they were at t."""
-    if not mates:
-        return [], []
-    said = [mate.at(t) for mate in mates]
-    moved = _lengths(np.array([one.place - mate.start for one, mate in zip(said, mates, strict=True)]))
-    found = [
-        one for one, m in zip(zip(mates, said, strict=True), moved, strict=True) if m < FARTHEST_COMPARED_M
-    ]
-    return [mate for mate, _ in found], [one for _, one in found]
-
-
-def _lengths(vectors: Array) -> Array:
-    return np.asarray(np.sqrt((vectors**2).sum(axis=1)))
 
 
 def _within(away: Array) -> tuple[float, float]:

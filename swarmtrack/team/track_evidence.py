@@ -136,15 +136,20 @@ class Told(NamedTuple):
     def since(self, segment: int, column: int) -> tuple[Array, Array]:
         """As `of`, of one segment."""
         M, log, whole = self.of(column)
-        at = slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
+        at = _of_segment(segment, whole)
         return M[at], log[at]
 
     def by_motion(self, segment: int, columns: NDArray[np.intp]) -> tuple[Array, Array]:
         """The same for one segment and some teammates, without what a place said: M (c, m, 8, 8) and log weights
         (c, m)."""
         M, log, whole = self.of_many(columns)
-        at = slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
+        at = _of_segment(segment, whole)
         return M[at], log[at] - self.by_place[segment, columns]
+
+
+def _of_segment(segment: int, whole: int) -> slice:
+    """Which of the matrices are of one segment, if `whole` are of the first."""
+    return slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
 
 
 def _no_size(n: int) -> tuple[Array, Array]:

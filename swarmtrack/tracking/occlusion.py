@@ -5,14 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
 from swarmtrack.tracking.motion_model import POSITION
 from swarmtrack.tracking.priors import RESOLVED_SIGMAS, UNRESOLVED_SIDES
-
-# Boxes that are compared one by one.
-SWEPT_MOST = 12
 
 
 def resolutions(size: Array, least: float) -> Array:
@@ -37,7 +33,7 @@ def unresolved(mean: Array, cov: Array, resolution: Array) -> Array:
     position, sigma = mean[:, POSITION], np.sqrt(cov.diagonal(axis1=1, axis2=2)[:, POSITION])
     reach = RESOLVED_SIGMAS * (resolution / math.sqrt(8.0) + sigma)
     pairs = _overlapping(position - reach, position + reach)
-    if not len(pairs):
+    if not pairs:
         return result
     i, j = np.array(pairs).T
     offset = position[i] - position[j]
@@ -51,15 +47,12 @@ def unresolved(mean: Array, cov: Array, resolution: Array) -> Array:
     return result
 
 
-def _overlapping(low: Array, high: Array) -> list[tuple[int, int]] | NDArray[np.intp]:
+def _overlapping(low: Array, high: Array) -> list[tuple[int, int]]:
     """Pairs of n upright boxes that overlap, each once; low, high (n, 2): their corners.
 
-    Few: sweep and prune along u: who is far from everybody is compared with the next one only. Ericson, Real-Time
-    Collision Detection (2005), section 7.5. Of many, all pairs at once are quicker.
+    Sweep and prune along u: who is far from everybody is compared with the next one only. Ericson, Real-Time Collision
+    Detection (2005), section 7.5.
     """
-    if len(low) > SWEPT_MOST:
-        overlap = ((low[:, None] < high) & (low < high[:, None])).all(axis=2)
-        return np.argwhere(np.triu(overlap, 1))
     left, top, right, bottom = (edge.tolist() for edge in (*low.T, *high.T))
     order = sorted(range(len(left)), key=left.__getitem__)
     pairs = []

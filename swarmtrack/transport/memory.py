@@ -124,7 +124,6 @@ class MemoryTransport:
         self._outgoing = Outgoing(team, drone_id, boot, clock, sign)
         self._reconciliation: asyncio.Task[None] | None = None
         self._published: Counter[str] = Counter()
-        self._received: frozenset[int] | None = None
 
     async def open(self) -> None:
         self._hub._join(self)
@@ -157,8 +156,7 @@ class MemoryTransport:
         return True
 
     def receive_only(self, drones: frozenset[int] | None) -> None:
-        self._received = drones
-        self._peers.receive_only(drones)
+        self._peers.reports_of = drones
 
     def has_listener(self, kind: Kind, camera: int = 0) -> bool:
         return bool(self._hub.listeners)
@@ -205,7 +203,8 @@ class MemoryTransport:
         address = keys.parse(key)
         if address is None or address.team != self.team or address.kind not in SUBSCRIBED:
             return
-        if self._received is None or address.kind not in REPORTS or address.drone_id in self._received:
+        of = self._peers.reports_of
+        if of is None or address.kind not in REPORTS or address.drone_id in of | {self.drone_id}:
             self._peers.on_message(key, payload, self._clock.now())
 
     def _receive_token(self, key: str, alive: bool) -> None:

@@ -86,9 +86,9 @@ def subscriptions(team: str, drone_id: int) -> list[str]:
     return [keys.key(team, Kind.POSE, "*"), keys.key(team, Kind.RANGE, drone_id, "*")]
 
 
-def report_subscriptions(team: str, received: Iterable[int] | None) -> set[str]:
-    """Key expressions of the reports of some teammates; None: of all."""
-    drones = ["*"] if received is None else received
+def report_subscriptions(team: str, drone_id: int, of: frozenset[int] | None) -> set[str]:
+    """Key expressions of the reports of some teammates, None: of all; and of those of a clone, under our own ID."""
+    drones = ["*"] if of is None else of | {drone_id}
     return {keys.key(team, kind, drone) for kind in REPORTS for drone in drones}
 
 
@@ -119,7 +119,8 @@ class Peers:
         self._newcomer = asyncio.Event()
         self._requested: dict[int, _Request] = {}
         self._announced = False
-        self._received: frozenset[int] | None = None
+        self.reports_of: frozenset[int] | None = None
+        """The teammates whose reports are received; None: all."""
         self._due: dict[int, float] = {}
         """When to ask whom whose announcement is missing."""
         self._closed = False
@@ -210,14 +211,10 @@ class Peers:
         reopen = self._silence.to_reopen(present, now, queued=queued)
         return Remedies(reopen, self._silence.to_repeat(present, now, queued=queued))
 
-    def receive_only(self, drones: frozenset[int] | None) -> None:
-        """What others report is not received; None: all is."""
-        self._received = drones
-
     def _present(self, linked: Collection[int]) -> set[int]:
         """Of whom words are expected."""
         present = {*self._membership.peers, *linked} - {self._drone_id}
-        return present if self._received is None else present & self._received
+        return present if self.reports_of is None else present & self.reports_of
 
     def on_answer(self, drone_id: int, word: bytes = b"") -> None:
         """A teammate answered a query. A drone whose token is lost may answer too, and is not a teammate for that

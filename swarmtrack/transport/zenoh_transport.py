@@ -105,11 +105,10 @@ class ZenohTransport:
         self._giving_way = RateLimiter(network, clock)
         self._renewed = False
         self._declared: list[Any] = []
-        self._received: frozenset[int] | None = None
-        """The teammates whose reports are received; None: all."""
-        self._receiving: dict[str, Any] = {}
+        self._reports: dict[str, Any] = {}
         """By key expression, the subscribers to reports."""
-        self._received_others = asyncio.Event()
+        self._other_reports = asyncio.Event()
+        """Of other teammates are wanted than are subscribed to."""
         self._tokens_declared = 0
         self._put_at = -math.inf
         self._together = JointAnswers[zenoh.Query]()
@@ -213,7 +212,7 @@ class ZenohTransport:
             ),
             asyncio.create_task(self._watch.run(lambda: links_up(self._session)), name="links"),
             asyncio.create_task(keep_options(), name="TCP options"),
-            asyncio.create_task(self._follow_received(), name="reports"),
+            asyncio.create_task(self._follow_reports(), name="reports"),
             asyncio.create_task(
                 keep_knocking(self._network.callers, lambda: links_up(self._session).hosts), name="knocking"
             ),
@@ -239,8 +238,8 @@ class ZenohTransport:
             *self._declare_exchange(session),
             session.liveliness().declare_token(keys.key(team, Kind.ALIVE, me, self._boot)),
         ]
-        self._receiving = {}  # those of an earlier session ended with it
-        self._receive(session)
+        self._reports = {}  # those of an earlier session ended with it
+        self._subscribe_to_reports(session)
         if self._outgoing.camera is not None:
             session.put(
                 self._outgoing.camera_key,
@@ -269,35 +268,35 @@ class ZenohTransport:
             expression, self._messages.handler(), allowed_origin=zenoh.Locality.REMOTE
         )
 
-    def _receive(self, session: zenoh.Session) -> None:
-        """Subscribe to the reports that are to be received, and to no others."""
-        wanted, receiving = report_subscriptions(self._network.team, self._received), self._receiving
-        for expression in receiving.keys() - wanted:
+    def _subscribe_to_reports(self, session: zenoh.Session) -> None:
+        """Of those that are to be received, and of no others."""
+        wanted = report_subscriptions(self._network.team, self._drone_id, self._peers.reports_of)
+        declared = self._reports
+        for expression in declared.keys() - wanted:
             with contextlib.suppress(zenoh.ZError):  # undeclared already
-                receiving.pop(expression).undeclare()
-        for expression in wanted - receiving.keys():
-            receiving[expression] = self._subscribe(session, expression)
+                declared.pop(expression).undeclare()
+        for expression in wanted - declared.keys():
+            declared[expression] = self._subscribe(session, expression)
 
     def receive_only(self, drones: frozenset[int] | None) -> None:
-        if drones != self._received:
-            self._received = drones
-            self._peers.receive_only(drones)
-            self._received_others.set()
+        if drones != self._peers.reports_of:
+            self._peers.reports_of = drones
+            self._other_reports.set()
 
-    async def _follow_received(self) -> None:
+    async def _follow_reports(self) -> None:
         """Until cancelled: subscriptions follow `receive_only`."""
         while True:
-            await self._received_others.wait()
-            self._received_others.clear()
+            await self._other_reports.wait()
+            self._other_reports.clear()
             async with self._changing:
                 if (session := self._session) is None:
                     continue  # links are being made anew, with this
                 try:
-                    await bounded(partial(self._receive, session), SESSION_OPEN_S, "subscribe")
+                    await bounded(partial(self._subscribe_to_reports, session), SESSION_OPEN_S, "subscribe")
                 except TransportError as error:
                     log.info("%s", error)
-                    self._received_others.set()
-            if self._received_others.is_set():
+                    self._other_reports.set()
+            if self._other_reports.is_set():
                 await asyncio.sleep(SILENCE_CHECK_PERIOD_S)
 
     async def _declare_again(self) -> None:
@@ -313,15 +312,13 @@ class ZenohTransport:
             ended: list[Any] = []
             for entity in self._declared:
                 (ended if isinstance(entity, zenoh.Queryable | zenoh.Subscriber) else kept).append(entity)
+            ended += self._reports.values()
+            self._reports = {}
             for entity in ended:
                 with contextlib.suppress(zenoh.ZError):  # undeclared already
                     entity.undeclare()
             self._declared = [*self._declare_exchange(open_session), *kept]
-            for subscriber in self._receiving.values():
-                with contextlib.suppress(zenoh.ZError):
-                    subscriber.undeclare()
-            self._receiving = {}
-            self._receive(open_session)
+            self._subscribe_to_reports(open_session)
             self._tokens_declared += 1
             further = keys.key(
                 self._network.team, Kind.ALIVE, self._drone_id, self._boot, self._tokens_declared
@@ -406,7 +403,7 @@ class ZenohTransport:
             "silent": len(silent),
             "links": up.count,
             "strangers": len(self._watch.strangers(up)),
-            **({} if self._received is None else {"reports_from": len(self._received)}),
+            **({} if self._peers.reports_of is None else {"reports_from": len(self._peers.reports_of)}),
             **self._certificate(),
             **self._outgoing.counters,
             "samples_dropped": sum(bridge.dropped for bridge in self._bridges),
@@ -444,8 +441,8 @@ class ZenohTransport:
             task.cancel()
         self._tasks = []
         session, self._session = self._session, None
-        declared = [*self._declared[::-1], *self._receiving.values()]  # the token first: it is our farewell
-        self._declared, self._receiving = [], {}
+        declared = [*self._declared[::-1], *self._reports.values()]  # the token first: it is our farewell
+        self._declared, self._reports = [], {}
         self._publishers = {}
         if session is not None:
             await close_session(session, declared, self._network.listen)

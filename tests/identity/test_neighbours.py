@@ -7,13 +7,13 @@ from swarmtrack.identity.neighbours import ANNOUNCED_AGAIN_M, NEAREST_RECEIVED, 
 from swarmtrack.identity.teammates import Teammates
 from swarmtrack.messages import Announcement, PeerArrived, SightingReport
 
-OWN, FOCAL_PX = 1, 300.0
+OWN, FOCAL_PX, WIDTH_M = 1, 300.0, 0.6
 # m: by its camera, and by how far a teammate may have gone unheard.
-SIGHT_M = 0.6 * FOCAL_PX / 5.0 + 2.0 * ANNOUNCED_AGAIN_M
+SIGHT_M = WIDTH_M * FOCAL_PX / 5.0 + 2.0 * ANNOUNCED_AGAIN_M
 
 
-def announced(drone, north, sigma=0.1):
-    place = np.array([north, 0.0, -5.0])
+def announced(drone, north, east=0.0, sigma=0.1):
+    place = np.array([north, east, -5.0])
     return Announcement(drone, f"{drone:08x}", 1, 0.0, 0.0, place, np.eye(3), sigma**2 * np.eye(3))
 
 
@@ -26,7 +26,7 @@ def in_a_row(count, spacing):
 
 
 def of(team, chosen=None, *, place=(0.0, 0.0, -5.0), seen=(), needed=()):
-    chosen = chosen or Neighbours([FOCAL_PX])
+    chosen = chosen or Neighbours([FOCAL_PX], WIDTH_M)
     return chosen.of(None if place is None else np.array(place), np.reshape(seen, (-1, 3)), team, needed)
 
 
@@ -47,8 +47,7 @@ def test_close_together_all_within_sight_are_received_however_many():
 
 def test_whoever_may_be_a_track_is_received_however_far():
     team = in_a_row(60, 100.0)
-    far_east = np.array([0.0, 8000.0, -5.0])
-    team.announce(Announcement(90, "0000005a", 1, 0.0, 0.0, far_east, np.eye(3), 0.01 * np.eye(3)))
+    team.announce(announced(90, 0.0, east=8000.0))
     nearest = set(range(2, 2 + NEAREST_RECEIVED))
     assert of(team) == nearest
     assert of(team, seen=[0.1, 0.99, 0.0]) == nearest | {90}
@@ -71,18 +70,26 @@ def test_whoever_may_be_anywhere_is_received_and_whoever_is_needed():
     assert of(team, needed=[60]) == {*range(2, 2 + NEAREST_RECEIVED), 60, 90, 91}
 
 
-def test_a_teammate_that_comes_near_is_received_and_stays_until_it_is_clearly_farther():
-    team, chosen = in_a_row(60, 100.0), Neighbours([FOCAL_PX])
-    assert 61 not in of(team, chosen)
-    team.whereabouts.report(
-        SightingReport(61, f"{61:08x}", 1, 1.0, 0.0, np.array([50.0, 0.0, -5.0]), 0.1, (), ())
-    )
-    assert 61 in of(team, chosen)
+def test_a_teammate_that_comes_near_is_received():
+    team = in_a_row(60, 100.0)
+    assert 61 not in of(team)
+    near = np.array([50.0, 0.0, -5.0])
+    team.whereabouts.report(SightingReport(61, f"{61:08x}", 1, 1.0, 0.0, near, 0.1, (), ()))
+    assert 61 in of(team)
+
+
+def test_a_teammate_is_received_until_it_is_clearly_farther_than_another():
+    team, chosen = in_a_row(60, 100.0), Neighbours([FOCAL_PX], WIDTH_M)
     last = 1 + NEAREST_RECEIVED
-    assert last not in of(team, chosen)
-    # The two that are farthest change places by less than it takes.
-    before = of(team, chosen, place=(0.0, 0.0, -5.0))
-    assert of(team, chosen, place=(-50.0 + 8.0, 0.0, -5.0)) == before
+    team.announce(announced(90, -100.0 * NEAREST_RECEIVED - 1.0))
+    assert of(team, chosen) == set(range(2, 1 + last))
+    assert of(team, chosen, place=(-4.0, 0.0, -5.0)) == set(range(2, 1 + last))
+    assert of(team, chosen, place=(-9.0, 0.0, -5.0)) == {*range(2, last), 90}
+
+
+def test_larger_drones_are_seen_farther_away():
+    team = in_a_row(100, 4.0)
+    assert len(of(team, Neighbours([FOCAL_PX], 2.0))) > len(of(team))
 
 
 @pytest.mark.parametrize(

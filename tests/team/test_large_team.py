@@ -85,6 +85,17 @@ def test_names_are_those_of_a_posterior_that_looks_at_all_pairs(slept, monkeypat
         assert slept.named[id].by_motion[id] == pytest.approx(named.by_motion[id], abs=0.05)
 
 
+def test_a_teammate_near_a_track_is_compared_with_it_though_it_slept(slept):
+    """All others are compared every four seconds."""
+    for id, track in slept._tracks.items():
+        away = [start(drone) @ start(id) / 144.0 for drone in slept.teammates]
+        apart = np.degrees(np.arccos(np.clip(away, -1.0, 1.0)))
+        columns = np.array([mate.column for mate in slept.teammates.values()])
+        age = 14.0 - track.last_compared(columns)[0]
+        assert age[apart < 8.0].max() < 1.5
+        assert age[apart > 20.0].min() > 1.5
+
+
 def test_whoever_takes_over_a_track_is_found_though_it_slept(slept):
     assert np.isfinite(slept._tracks[2].faint[slept.teammates[2 + SEEN].column])
     changed = flight(26.0, handed_over=14.0)
