@@ -141,7 +141,7 @@ def compare(pairs: Sequence[ComparedTrack], mates: Compared) -> None:
     density = _stranger_densities(due, these, least / these.rho**2)
     M = left.swapaxes(1, 2) @ left / S[:, None, None]
     log = (these.mates.log_there + 2.0 * np.log(these.rho))[at] - np.log(2.0 * math.pi * S)
-    said = sums_of(M, log, density[at])
+    said = sums_of(M, log, density[at], (along / these.rho[:, None])[at])
     for (i, segment), rows in zip(segments, runs(len(these.columns[i]) for i, _ in segments), strict=True):
         segment.add(these.columns[i], said[rows])
     for (track, bearing, _), columns, rows in zip(due, these.columns, these.by_track, strict=True):

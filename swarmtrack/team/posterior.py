@@ -45,7 +45,6 @@ from swarmtrack.team.priors import (
     HEADING_LEAST_SIGMA_RAD,
     LOG_ANYWHERE,
     MOTION_WEIGHED_EVERY,
-    NAMES_TELL,
     NEAREST_BOX_M,
     P_BELIEVED,
     P_ELSEWHERE,
@@ -437,7 +436,7 @@ class TeamPosterior:
         at = {mate.drone_id: i for i, mate in enumerate(mates)}
         named = {id: self.named[id].likeliest for id in scan.bearings if id in self.named}
         seen = {id: (at[drone], p) for id, (drone, p) in named.items() if p > P_HELD and drone in at}
-        if sum(p for _, p in seen.values()) < NAMES_TELL:
+        if len(seen) < 2:
             return scan.bearings
         rays = {}
         for id, (i, p) in seen.items():
@@ -521,12 +520,12 @@ class TeamPosterior:
         drone, p = named.likeliest
         mate, best = self.teammates.get(drone), track.likeliest_segment
         if mate is not None and mate.knows_start and P_SUPPOSED < p <= P_FRAME_KEPT:
-            mate.suppose(track.told().M[best, mate.column], p, t, track.t)
+            mate.suppose(track.told().of_segment(best, mate.column), p, t, track.t)
         if t - sure_t > BELIEVED_ENDED_S:
             return
         told = track.whole
         if mate is not None and p > P_FRAME_KEPT:
-            mate.keep(track.told().M[best, mate.column], t)
+            mate.keep(track.told().of_segment(best, mate.column), t)
             told = track.pasts(len(told)).log[best]
         self.mixture.keep(told, t)
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmtrack.messages import Array
+from swarmtrack.team.bearing_noise import without_noise
 from swarmtrack.team.deviation import DeviationFilters
 from swarmtrack.team.evidence import fading
 from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past
@@ -42,13 +43,15 @@ from swarmtrack.team.priors import (
 from swarmtrack.team.strangers import KINDS, StrangerFilters
 from swarmtrack.team.unheard import UnheardTrack
 
-# Columns of a sum: M, the log normalisers, the stranger's log densities, and what of a log ratio that was carried on is
-# by a place.
+# Columns of a sum: M, the log normalisers, the stranger's log densities, distances and how many (`bearing_noise.py`),
+# and what of a log ratio that was carried on is by a place.
 _M = slice(0, 64)
 _LOG = 64
 _STRANGER = slice(65, 65 + KINDS)
-_BY_PLACE = 65 + KINDS
-_WIDTH = 66 + KINDS
+_DISTANCE = slice(65 + KINDS, 73 + KINDS)
+_COUNT = 73 + KINDS
+_BY_PLACE = 74 + KINDS
+_WIDTH = 75 + KINDS
 # s: a bearing so soon after the last is none.
 _LEAST_STEP_S = 0.02
 BOX_DISTANCES = np.array([0.0, 1.0, 2.0, -1.0, -2.0])
@@ -93,9 +96,10 @@ class TrackSegment:
         self.sum[columns, :_BY_PLACE] += said
 
 
-def sums_of(M: Array, log: Array, stranger: Array) -> Array:
-    """(n, …), rows of a sum: M (n, 8, 8), log normalisers (n,), and log densities of a stranger (n, KINDS)."""
-    return np.concatenate([M.reshape(-1, 64), log[:, None], stranger], axis=1)
+def sums_of(M: Array, log: Array, stranger: Array, distance: Array) -> Array:
+    """(n, …), rows of a sum: M (n, 8, 8), log normalisers (n,), log densities of a stranger (n, KINDS), and the
+    distance, of z, as a share of that at which errors are compared (n, 8)."""
+    return np.concatenate([M.reshape(-1, 64), log[:, None], stranger, distance, np.ones((len(M), 1))], axis=1)
 
 
 class ToldOfMany(NamedTuple):
@@ -109,7 +113,8 @@ class ToldOfMany(NamedTuple):
 
 class Told(NamedTuple):
     """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), what of these is by
-    a place of before (s, n), and whether there was any bearing (n,). size, size_log: `TrackEvidence.size`."""
+    a place of before (s, n), and whether there was any bearing (n,). size, size_log: `TrackEvidence.size`; distance
+    (s, n, 8), number (s, n): `bearing_noise.without_noise`."""
 
     M: Array
     log: Array
@@ -117,20 +122,33 @@ class Told(NamedTuple):
     known: NDArray[np.bool_]
     size: Array
     size_log: Array
+    distance: Array
+    number: Array
+
+    def of_segment(self, segment: int, column: int) -> Array:
+        """M (8, 8) of one segment, without what the box's size says."""
+        M, _ = self._without_noise(np.array([column]))
+        return np.asarray(M[segment, 0])
+
+    def _without_noise(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        """For some teammates, M (s, m, 8, 8) and log weights (s, m)."""
+        M, log = without_noise(self.M[:, columns], self.distance[:, columns], self.number[:, columns])
+        return M, self.log[:, columns] + log
 
     def of(self, column: int) -> tuple[Array, Array, int]:
         """For one teammate, M (c, 8, 8) and log weights (c,): first, by distance, of the segment that began with the
         track, as many as the last value says; then of the others."""
-        log = self.log[:, column]
-        near = np.flatnonzero(np.isfinite(self.size_log[:, column]))
-        M = np.concatenate([self.M[0, column] + self.size[near, column], self.M[1:, column]])
-        return M, np.concatenate([log[0] + self.size_log[near, column], log[1:]]), len(near)
+        several = self.of_many(np.array([column]))
+        near = np.flatnonzero(np.isfinite(several.log[: several.whole, 0]))
+        kept = np.concatenate([near, np.arange(several.whole, len(several.log))])
+        return several.M[kept, 0], several.log[kept, 0], len(near)
 
     def of_many(self, columns: NDArray[np.intp]) -> ToldOfMany:
         """For some teammates."""
         near = np.isfinite(self.size_log[:, columns]).any(axis=1)
-        M = np.concatenate([self.M[0, columns] + self.size[near][:, columns], self.M[1:, columns]])
-        log = np.concatenate([self.log[0, columns] + self.size_log[near][:, columns], self.log[1:, columns]])
+        M, log = self._without_noise(columns)
+        M = np.concatenate([M[0] + self.size[near][:, columns], M[1:]])
+        log = np.concatenate([log[0] + self.size_log[near][:, columns], log[1:]])
         return ToldOfMany(M, log, int(near.sum()))
 
     def since(self, segment: int, column: int) -> tuple[Array, Array]:
@@ -286,6 +304,7 @@ class TrackEvidence:
         for segment in self.segments:
             M = segment.sum[:, _M].reshape(-1, 8, 8)
             segment.sum[:, _M] = (to_old.T @ M @ to_old).reshape(-1, 64)
+            segment.sum[:, _DISTANCE] = segment.sum[:, _DISTANCE] @ to_old
             segment.deviation.turn(to_old, rotation)
         self.size = to_old.T @ self.size @ to_old
         self.strangers.turn(rotation)
@@ -440,8 +459,16 @@ class TrackEvidence:
         sums = np.array([segment.sum for segment in self.segments])
         M = sums[..., _M].reshape(*sums.shape[:2], 8, 8)
         stranger = np.logaddexp.reduce(sums[..., _STRANGER], axis=-1) - math.log(KINDS)
-        log = sums[..., _LOG] - stranger
-        return Told(M, log, sums[..., _BY_PLACE], self.compared, self.size, self.size_log)
+        return Told(
+            M,
+            sums[..., _LOG] - stranger,
+            sums[..., _BY_PLACE],
+            self.compared,
+            self.size,
+            self.size_log,
+            sums[..., _DISTANCE],
+            sums[..., _COUNT],
+        )
 
     def pasts(self, k: int) -> Past:
         """(s, k): of all before each segment, with its prior."""
