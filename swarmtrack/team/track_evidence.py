@@ -25,6 +25,7 @@ from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past
 from swarmtrack.team.priors import (
     ATTITUDE_LASTING_SIGMA_RAD,
     BEARING_SIGMA_RAD,
+    CLEARED_AT_ONCE,
     HANDOVER_LEAST,
     HANDOVER_MET,
     HANDOVER_MISSED_PER_S,
@@ -111,7 +112,8 @@ class ToldOfMany(NamedTuple):
     whole: int
 
 
-class Told(NamedTuple):
+@dataclass(slots=True, eq=False)
+class Told:
     """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), what of these is by
     a place of before (s, n), and whether there was any bearing (n,). size, size_log: `TrackEvidence.size`; distance
     (s, n, 8), number (s, n): `bearing_noise.without_noise`."""
@@ -124,50 +126,64 @@ class Told(NamedTuple):
     size_log: Array
     distance: Array
     number: Array
+    _cleared: tuple[Array, Array] | None = None
+    """`_without_noise` of all teammates, if they are few."""
 
     def of_segment(self, segment: int, column: int) -> Array:
         """M (8, 8) of one segment, without what the box's size says."""
-        M, _ = self._without_noise(np.array([column]))
-        return np.asarray(M[segment, 0])
-
-    def _without_noise(self, columns: NDArray[np.intp]) -> tuple[Array, Array]:
-        """For some teammates, M (s, m, 8, 8) and log weights (s, m)."""
-        M, log = without_noise(self.M[:, columns], self.distance[:, columns], self.number[:, columns])
-        return M, self.log[:, columns] + log
+        M, _ = self._without_noise(np.array([column]), segment)
+        return np.asarray(M[0, 0])
 
     def of(self, column: int) -> tuple[Array, Array, int]:
         """For one teammate, M (c, 8, 8) and log weights (c,): first, by distance, of the segment that began with the
         track, as many as the last value says; then of the others."""
-        several = self.of_many(np.array([column]))
-        near = np.flatnonzero(np.isfinite(several.log[: several.whole, 0]))
-        kept = np.concatenate([near, np.arange(several.whole, len(several.log))])
-        return several.M[kept, 0], several.log[kept, 0], len(near)
+        M, log, whole = self.of_many(np.array([column]))
+        near = np.isfinite(log[:, 0])
+        near[whole:] = True
+        return M[near, 0], log[near, 0], int(near[:whole].sum())
 
     def of_many(self, columns: NDArray[np.intp]) -> ToldOfMany:
         """For some teammates."""
-        near = np.isfinite(self.size_log[:, columns]).any(axis=1)
-        M, log = self._without_noise(columns)
-        M = np.concatenate([M[0] + self.size[near][:, columns], M[1:]])
-        log = np.concatenate([log[0] + self.size_log[near][:, columns], log[1:]])
-        return ToldOfMany(M, log, int(near.sum()))
+        if len(self.known) <= CLEARED_AT_ONCE:
+            if self._cleared is None:
+                self._cleared = self._without_noise(np.arange(len(self.known)))
+            M, log = self._cleared
+            M, log = M[:, columns], log[:, columns]
+        else:
+            M, log = self._without_noise(columns)
+        first_M, first_log = self._by_distance(M[0], log[0], columns)
+        return ToldOfMany(
+            np.concatenate([first_M, M[1:]]), np.concatenate([first_log, log[1:]]), len(first_log)
+        )
 
     def since(self, segment: int, column: int) -> tuple[Array, Array]:
         """As `of`, of one segment."""
-        M, log, whole = self.of(column)
-        at = _of_segment(segment, whole)
-        return M[at], log[at]
+        M, log = self._of_segment(segment, np.array([column]))
+        near = np.isfinite(log[:, 0])
+        return M[near, 0], log[near, 0]
 
     def by_motion(self, segment: int, columns: NDArray[np.intp]) -> tuple[Array, Array]:
         """The same for one segment and some teammates, without what a place said: M (c, m, 8, 8) and log weights
         (c, m)."""
-        M, log, whole = self.of_many(columns)
-        at = _of_segment(segment, whole)
-        return M[at], log[at] - self.by_place[segment, columns]
+        M, log = self._of_segment(segment, columns)
+        return M, log - self.by_place[segment, columns]
 
+    def _of_segment(self, segment: int, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        M, log = self._without_noise(columns, segment)
+        return (M, log) if segment else self._by_distance(M[0], log[0], columns)
 
-def _of_segment(segment: int, whole: int) -> slice:
-    """Which of the matrices are of one segment, if `whole` are of the first."""
-    return slice(whole - 1 + segment, whole + segment) if segment else slice(whole)
+    def _by_distance(self, M: Array, log: Array, columns: NDArray[np.intp]) -> tuple[Array, Array]:
+        """By distance, with what the box's size says: (r, m, 8, 8) and (r, m)."""
+        near = np.isfinite(self.size_log[:, columns]).any(axis=1)
+        return M + self.size[near][:, columns], log + self.size_log[near][:, columns]
+
+    def _without_noise(self, columns: NDArray[np.intp], segment: int | None = None) -> tuple[Array, Array]:
+        """For some teammates, M (s, m, 8, 8) and log weights (s, m); of one segment, or of all."""
+        of = slice(None) if segment is None else slice(segment, segment + 1)
+        M, log = without_noise(
+            self.M[of][:, columns], self.distance[of][:, columns], self.number[of][:, columns]
+        )
+        return M, self.log[of][:, columns] + log
 
 
 def _no_size(n: int) -> tuple[Array, Array]:
