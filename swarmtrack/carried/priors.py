@@ -6,8 +6,9 @@ random walk. Where nothing else is said, a value was chosen by hand and held aga
 
 import math
 
-# Own motion where no autopilot measures it: a velocity that forgets itself, as fast as this per axis.
-OWN_SPEED_SIGMA_M_S, OWN_SPEED_LASTS_S = 1.5, 8.0
+# Own motion where no autopilot measures it, beside what tilts say of it: a velocity that forgets itself, one sigma per
+# axis.
+OWN_SPEED_SIGMA_M_S, OWN_SPEED_LASTS_S = 1.0, 8.0
 # What of a push lasts for so long is drag, wind, or an error of the attitude; from one attitude to another that comes
 # later than this, nobody knows it; nor by a tilt whose cosine is smaller.
 STEADY_PUSH_S, PUSH_KNOWN_S, TILT_PUSHES_LEAST = 5.0, 0.5, 0.5

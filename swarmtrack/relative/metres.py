@@ -32,6 +32,7 @@ from swarmtrack.motion.ego import EgoHistory, TeamPose
 from swarmtrack.relative.detected import named_boxes
 from swarmtrack.relative.frames import FrameNews, FrameOf, Frames
 from swarmtrack.relative.heights import HeightSight, SaidHeights
+from swarmtrack.relative.held_names import HeldNames
 from swarmtrack.relative.looks import NamedBox, TeamLook
 from swarmtrack.relative.parallax import FarOff
 from swarmtrack.relative.parameters import RelativeParameters
@@ -75,8 +76,9 @@ class Metres:
         self._frames = Frames(parameters.turn_sigma)
         self._range_watch = RangeWatch()
         self._said_heights = SaidHeights()
+        self._held_names = HeldNames()
         self.look: TeamLook | None = None
-        """The last one, of named teammates."""
+        """The last one, of teammates with a name, or with one until just now."""
         self.height_sights: tuple[HeightSight, ...] = ()
         """Of the last scan, where `places_anybody`: reported heights against the camera's."""
 
@@ -150,7 +152,11 @@ class Metres:
             self._anybody.observe(nameless)
             named = {entry.track.id for entry in tracks if isinstance(entry.identity, int)}
             self._far_off.observe(nameless.without(named))
-        self.look = look = looked(named_boxes(tracks, scan, R, number))
+        look = looked(named_boxes(tracks, scan, R, number))
+        held = self._held_names.of(tracks, observer.t)
+        # What shares a detection with another track is left out, so all tracks have to be there.
+        rest = tuple(entry for entry in tracks if entry.track.id not in {one.track.id for one in held})
+        self.look = looked(named_boxes((*rest, *held), scan, R, number)) if held else look
         self._teammates.observe(look)
         first = observer.pose @ self._cameras[0].body_from_camera
         own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))

@@ -39,6 +39,9 @@ SURE_SIGHTING_PROBABILITY = 0.9
 # Detections (`detected`): squared Mahalanobis distance of a track after the scan from the detection that it took, 4 σ.
 TAKEN_DETECTION_GATE = 16.0
 
+# Names that ended (`held_names`): a track is still whose it was for so long.
+NAME_HELD_S = 3.0
+
 # Boxes as measurements (`box_width`, `looks`). Of the width: a box that is padding for the rest tells no distance.
 LEAST_DRONE_SHARE = 0.25
 # A camera rolled by more sees no width of its own.
