@@ -14,7 +14,7 @@ import numpy as np
 
 from swarmtrack.messages import Array
 
-# Of a matrix's trace, and at least: so it can be inverted where nothing was measured.
+# Of its own diagonal, and at least, a matrix's diagonal grows: so it can be inverted where nothing was measured.
 _SHARE, _LEAST = 1e-9, 1e-12
 
 
@@ -26,8 +26,9 @@ def without_noise(M: Array, distance: Array, count: Array) -> tuple[Array, Array
     Noise is the least that zᵀ M z can be at the mean distance, up to as much as is expected of so many bearings.
     """
     mean = distance / np.maximum(count, _LEAST)[..., None]
-    least = _SHARE * np.trace(M, axis1=-2, axis2=-1) + _LEAST
-    solved = np.linalg.solve(M + least[..., None, None] * np.eye(8), mean[..., None])
+    more = _SHARE * np.diagonal(M, axis1=-2, axis2=-1) + _LEAST
+    solved = np.linalg.solve(M + more[..., None] * np.eye(8), mean[..., None])
     noise = 1.0 / np.maximum((mean * solved[..., 0]).sum(axis=-1), _LEAST)
-    noise = np.minimum(noise, 2.0 * count)
+    # Of nonsense from a peer there is none.
+    noise = np.nan_to_num(np.minimum(noise, 2.0 * count))
     return M - noise[..., None, None] * (mean[..., :, None] * mean[..., None, :]), -0.5 * noise

@@ -58,6 +58,13 @@ def test_before_the_first_bearing_and_after_one_there_is_no_noise():
     assert log == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore:invalid value encountered")
+@pytest.mark.parametrize("nonsense", [np.nan, np.inf])
+def test_nonsense_from_a_peer_is_no_noise(nonsense):
+    _, log = without_noise(np.full((8, 8), nonsense), np.ones(8), np.array(1.0))
+    assert log == 0.0
+
+
 @pytest.mark.parametrize(("mates", "sway_m"), [(2, 0.0), (6, 0.1)])
 def test_no_drone_comes_to_doubt_its_start_because_its_bearings_are_noisy(mates, sway_m):
     """All errors are as stated, a common one of the attitude among them."""
