@@ -22,8 +22,8 @@ class HeldNames:
         """By track: its last name, and when it had that [s]."""
 
     def of(self, tracks: Sequence[IdentifiedTrack], t: float) -> tuple[IdentifiedTrack, ...]:
-        """Of the tracks after a scan at t those without a name, or foreign, that had one until just now which no other
-        track has: with that name."""
+        """Tracks after a scan at t that are unknown or foreign, each with the name that it had until just now, if no
+        other track has it."""
         names = {entry.track.id: entry.identity for entry in tracks if isinstance(entry.identity, int)}
         taken = set(names.values())
         held = {
