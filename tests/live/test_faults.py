@@ -266,7 +266,7 @@ async def test_a_fifth_of_all_frames_lost_makes_nobody_wrong_or_dead(team: Team,
     await asyncio.sleep(seconds)
     frames, lost = on_the_air(team)
     frames, lost = frames - frames_before, lost - lost_before
-    assert lost > 0.1 * frames > 100  # they spoke, and the air was bad
+    assert lost > 0.1 * frames > 50  # they spoke, and the air was bad
     end = time.monotonic()
     right = team.looks_between(team.drones, lossy, end, Look.is_right)
     report(f"of {frames} frames lost", 100.0 * lost / frames, "%")
