@@ -185,8 +185,7 @@ class Onboard:
         self._view: OwnView | None = None
         measuring = [MeasuringCamera(each.lens, each.body_from_camera, each.tracker) for each in cameras]
         relative = relative or RelativeParameters()
-        focal = [max(each.lens.fx, each.lens.fy) for each in cameras]
-        self._neighbours = Neighbours(focal, relative.width_m)
+        self._neighbours = Neighbours([max(each.lens.fx, each.lens.fy) for each in cameras], relative.width_m)
         self._metres = Metres(drone_id, relative, cameras=measuring, ego=ego, places_anybody=places_anybody)
         self._strangers = Strangers(drone_id, relative, cameras=measuring)
         self._own_place = OwnPlace(

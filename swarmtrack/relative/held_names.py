@@ -1,4 +1,4 @@
-"""Tracks that had a name until just now, for a while with that name.
+"""Tracks whose names have just ended, for a while with these names.
 
 A name ends when its teammate is no longer where it should be, as seen from the own place. If the own place is what is
 wrong, a filter that doubts it needs the rays to those teammates, and more of them than come until the names end. A
@@ -7,7 +7,6 @@ track rarely goes over to another target, so within some seconds it still is who
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from swarmtrack.messages import IdentifiedTrack
@@ -21,9 +20,9 @@ class HeldNames:
         self._named: dict[int, tuple[int, float]] = {}
         """By track: its last name, and when it had that [s]."""
 
-    def of(self, tracks: Sequence[IdentifiedTrack], t: float) -> tuple[IdentifiedTrack, ...]:
-        """Tracks after a scan at t that are unknown or foreign, each with the name that it had until just now, if no
-        other track has it."""
+    def of(self, tracks: tuple[IdentifiedTrack, ...], t: float) -> tuple[IdentifiedTrack, ...]:
+        """The tracks after a scan at t; each that is unknown or foreign with the name that it had until just now, if no
+        other track has it. The same object, if there is none."""
         names = {entry.track.id: entry.identity for entry in tracks if isinstance(entry.identity, int)}
         taken = set(names.values())
         held = {
@@ -32,6 +31,9 @@ class HeldNames:
             if t - since < NAME_HELD_S and track not in names and drone not in taken
         }
         self._named = held | {track: (drone, t) for track, drone in names.items()}
+        if held.keys().isdisjoint(entry.track.id for entry in tracks):
+            return tracks
         return tuple(
-            replace(entry, identity=held[entry.track.id][0]) for entry in tracks if entry.track.id in held
+            replace(entry, identity=held[entry.track.id][0]) if entry.track.id in held else entry
+            for entry in tracks
         )

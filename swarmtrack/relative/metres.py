@@ -154,9 +154,7 @@ class Metres:
             self._far_off.observe(nameless.without(named))
         look = looked(named_boxes(tracks, scan, R, number))
         held = self._held_names.of(tracks, observer.t)
-        # What shares a detection with another track is left out, so all tracks have to be there.
-        rest = tuple(entry for entry in tracks if entry.track.id not in {one.track.id for one in held})
-        self.look = looked(named_boxes((*rest, *held), scan, R, number)) if held else look
+        self.look = look if held is tracks else looked(named_boxes(held, scan, R, number))
         self._teammates.observe(look)
         first = observer.pose @ self._cameras[0].body_from_camera
         own = OwnMotion(first.position, velocity, velocity_cov, self._attitude_cov(observer))

@@ -431,7 +431,7 @@ class TeamPosterior:
     def _without_attitude(
         self, scan: BearingScan, mates: Sequence[Teammate], deviation: Deviation, expected: Array
     ) -> Mapping[int, Bearing]:
-        """The bearings of a scan, turned back by the attitude's error where enough teammates show it. expected (m, 3)
+        """The bearings of a scan, turned back by the attitude's error where two teammates show it. expected (m, 3)
         m: where they should be."""
         at = {mate.drone_id: i for i, mate in enumerate(mates)}
         named = {id: self.named[id].likeliest for id in scan.bearings if id in self.named}

@@ -211,8 +211,6 @@ SMALL_TEAM = 8
 # and what motion alone says is worked out every so many weighings.
 LOG_PAIR_SLEEPS, PAIR_WAKES_RAD = -3.0, math.radians(10.0)
 ALL_COMPARED_EVERY_S, MOTION_WEIGHED_EVERY = 4.0, 8
-# Of so many teammates all are worked out at once that a track may be, without the noise of its bearings.
-CLEARED_AT_ONCE = 16
 # So many matrices, times components and 20, are worked out at once: some 8 MB.
 PAIRS_AT_ONCE = 5e4
 # Where everything is surer, so often is enough.

@@ -25,7 +25,6 @@ from swarmtrack.team.pasts import COLUMN_OF_NOBODY, Past
 from swarmtrack.team.priors import (
     ATTITUDE_LASTING_SIGMA_RAD,
     BEARING_SIGMA_RAD,
-    CLEARED_AT_ONCE,
     HANDOVER_LEAST,
     HANDOVER_MET,
     HANDOVER_MISSED_PER_S,
@@ -112,8 +111,7 @@ class ToldOfMany(NamedTuple):
     whole: int
 
 
-@dataclass(slots=True, eq=False)
-class Told:
+class Told(NamedTuple):
     """By segment and teammate: M (s, n, 8, 8), log normalisers less the stranger's density (s, n), what of these is by
     a place of before (s, n), and whether there was any bearing (n,). size, size_log: `TrackEvidence.size`; distance
     (s, n, 8), number (s, n): `bearing_noise.without_noise`."""
@@ -126,8 +124,6 @@ class Told:
     size_log: Array
     distance: Array
     number: Array
-    _cleared: tuple[Array, Array] | None = None
-    """`_without_noise` of all teammates, if they are few."""
 
     def of_segment(self, segment: int, column: int) -> Array:
         """M (8, 8) of one segment, without what the box's size says."""
@@ -144,13 +140,7 @@ class Told:
 
     def of_many(self, columns: NDArray[np.intp]) -> ToldOfMany:
         """For some teammates."""
-        if len(self.known) <= CLEARED_AT_ONCE:
-            if self._cleared is None:
-                self._cleared = self._without_noise(np.arange(len(self.known)))
-            M, log = self._cleared
-            M, log = M[:, columns], log[:, columns]
-        else:
-            M, log = self._without_noise(columns)
+        M, log = self._without_noise(columns)
         first_M, first_log = self._by_distance(M[0], log[0], columns)
         return ToldOfMany(
             np.concatenate([first_M, M[1:]]), np.concatenate([first_log, log[1:]]), len(first_log)

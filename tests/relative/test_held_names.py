@@ -12,28 +12,31 @@ def entry(track, identity):
     return IdentifiedTrack(made, identity, 0.99)
 
 
+def names(held, t, identities):
+    """What the tracks with these identities are called."""
+    tracks = tuple(entry(*one) for one in identities.items())
+    return {one.track.id: one.identity for one in held.of(tracks, t)}
+
+
 def test_a_track_keeps_its_last_name_for_a_while_and_no_longer():
     held = HeldNames()
-    assert held.of([entry(7, 2), entry(8, None)], 0.0) == ()
-    (one,) = held.of([entry(7, None), entry(8, None)], 1.0)
-    assert (one.track.id, one.identity) == (7, 2)
-    (one,) = held.of([entry(7, FOREIGN)], NAME_HELD_S - 0.1)
-    assert (one.track.id, one.identity) == (7, 2)
-    assert held.of([entry(7, None)], NAME_HELD_S + 0.1) == ()
+    tracks = entry(7, 2), entry(8, None)
+    assert held.of(tracks, 0.0) is tracks
+    assert names(held, 1.0, {7: None, 8: None}) == {7: 2, 8: None}
+    assert names(held, NAME_HELD_S - 0.1, {7: FOREIGN}) == {7: 2}
+    assert names(held, NAME_HELD_S + 0.1, {7: None}) == {7: None}
 
 
 def test_a_name_that_another_track_has_is_not_kept():
     held = HeldNames()
-    held.of([entry(7, 2)], 0.0)
-    assert held.of([entry(7, None), entry(8, 2)], 0.5) == ()
+    names(held, 0.0, {7: 2})
+    assert names(held, 0.5, {7: None, 8: 2}) == {7: None, 8: 2}
     # Nor does it return when that one loses it.
-    (one,) = held.of([entry(7, None), entry(8, None)], 1.0)
-    assert one.track.id == 8
+    assert names(held, 1.0, {7: None, 8: None}) == {7: None, 8: 2}
 
 
 def test_a_track_that_was_renamed_had_the_later_name_last():
     held = HeldNames()
-    held.of([entry(7, 2)], 0.0)
-    held.of([entry(7, 3)], 0.5)
-    (one,) = held.of([entry(7, None)], 1.0)
-    assert one.identity == 3
+    names(held, 0.0, {7: 2})
+    names(held, 0.5, {7: 3})
+    assert names(held, 1.0, {7: None}) == {7: 3}

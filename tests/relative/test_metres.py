@@ -60,6 +60,18 @@ def test_a_named_track_has_a_relative_state_and_one_without_a_name_has_none():
     assert Seeing(None).looks().relative is None
 
 
+def test_a_name_that_has_just_ended_is_in_the_look_for_the_own_place_and_nowhere_else():
+    seeing = Seeing(2)
+    seeing.looks()
+    seeing.name = None
+    entry = seeing.looks(3)
+    assert entry.relative is None
+    assert seeing.metres.look.keys == ((2, entry.track.id),)
+    assert np.isfinite(seeing.metres.look.ray).all()
+    seeing.looks(40)
+    assert seeing.metres.look.keys == ()
+
+
 def test_a_state_ends_with_its_name():
     seeing = Seeing(2)
     entry = seeing.looks()

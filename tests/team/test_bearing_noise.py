@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from swarmtrack.messages import Announcement, SightingReport
+from swarmtrack.team import track_evidence
 from swarmtrack.team.bearing_noise import without_noise
 from swarmtrack.team.evidence import design
 from swarmtrack.team.mixture import OwnKnowledge
@@ -11,6 +12,7 @@ from swarmtrack.team.posterior import BearingScan, TeamPosterior
 from swarmtrack.team.track_evidence import Bearing
 
 SIGMA_RAD, RANGE_M, SCANS = 0.01, 10.0, 400
+SECONDS = 30.0
 
 
 def log_evidence(ratio, moved_m, seed=0):
@@ -65,21 +67,20 @@ def test_nonsense_from_a_peer_is_no_noise(nonsense):
     assert log == 0.0
 
 
-@pytest.mark.parametrize(("mates", "sway_m"), [(2, 0.0), (6, 0.1)])
-def test_no_drone_comes_to_doubt_its_start_because_its_bearings_are_noisy(mates, sway_m):
-    """All errors are as stated, a common one of the attitude among them."""
+def hovering(mates, sway_m):
+    """Posterior of a drone that hovers 20 m before so many; all errors are as stated, a common one of the attitude
+    among them."""
     chance = np.random.default_rng(1)
     starts = {2 + k: np.array([20.0, 4.0 * (k - 0.5 * (mates - 1)), 0.0]) for k in range(mates)}
     posterior = TeamPosterior(1, cameras=1, start_sigma_m=0.1)
     for drone, start in starts.items():
         cov = 0.01 * np.eye(3)
         posterior.announce(Announcement(drone, "0000000a", 1, 0.0, 0.0, start, np.eye(3), cov))
-    for k in range(1, 150):
+    for k in range(1, round(5 * SECONDS)):
         t, turn, bearings = 0.2 * k, chance.normal(0.0, 0.004, 3), {}
         for drone, start in starts.items():
-            place = start + sway_m * np.array(
-                [0.0, np.sin((0.6 + 0.05 * drone) * t), np.cos(0.8 * t + drone)]
-            )
+            sway = np.array([0.0, np.sin((0.6 + 0.05 * drone) * t), np.cos(0.8 * t + drone)])
+            place = start + sway_m * sway
             ray = place / np.linalg.norm(place)
             ray = ray + np.cross(turn, ray) + chance.normal(0.0, 0.003, 3)
             variance = 0.003**2 + 0.004**2
@@ -93,5 +94,20 @@ def test_no_drone_comes_to_doubt_its_start_because_its_bearings_are_noisy(mates,
                 )
         scan = BearingScan(t, 0, np.zeros(3), bearings, {})
         posterior.observe(scan, bearings.keys(), np.zeros(3), OwnKnowledge(0.1, 0.03))
+    return posterior
+
+
+HOVERING = pytest.mark.parametrize(("mates", "sway_m"), [(2, 0.0), (6, 0.1)])
+
+
+@HOVERING
+def test_no_drone_comes_to_doubt_its_start_because_its_bearings_are_noisy(mates, sway_m):
+    posterior = hovering(mates, sway_m)
     assert posterior.p_fault < 0.05
-    assert [named.likeliest[0] for named in posterior.named.values()] == list(starts)
+    assert [named.likeliest[0] for named in posterior.named.values()] == list(range(2, 2 + mates))
+
+
+@HOVERING
+def test_it_does_while_noise_counts_as_evidence_of_distances(mates, sway_m, monkeypatch):
+    monkeypatch.setattr(track_evidence, "without_noise", lambda M, _, count: (M, 0.0 * count))
+    assert hovering(mates, sway_m).p_fault > 0.5
