@@ -86,6 +86,16 @@ class ReportedPlaces:
         if not self._reports or report.t > self._reports[-1].t:
             self._reports.append(report)
 
+    def velocity_to(self, place: Array, t: float) -> Array | None:
+        """(3,) m/s: to a place (3,) m at t [s], newer than all; None without a report of a moment or two before."""
+        before = self._before(t)
+        return None if before is None else (place - before.place) / (t - before.t)
+
+    def _before(self, t: float) -> Report | None:
+        """The newest report that is so long before t [s] that a slope may be taken, and not too long."""
+        found = next((report for report in reversed(self._reports) if t - report.t > _CURVE_LEAST_S), None)
+        return found if found is not None and t - found.t < _CURVE_MOST_S else None
+
     def at(self, t: float) -> SaidPlace:
         """The place at t."""
         reports = self._reports
@@ -109,11 +119,9 @@ class ReportedPlaces:
         step = max(there.t - here.t, 1e-3)
         slope = (there.place - here.place) / step
         bend = np.zeros(3)
-        if k > 0 and step > _CURVE_LEAST_S:
-            before = self._reports[k - 1]
-            apart = here.t - before.t
-            if _CURVE_LEAST_S < apart < _CURVE_MOST_S:
-                bend = (slope - (here.place - before.place) / apart) / (there.t - before.t)
+        before = self._before(here.t) if step > _CURVE_LEAST_S else None
+        if before is not None:
+            bend = (slope - (here.place - before.place) / (here.t - before.t)) / (there.t - before.t)
         on, left = min(t - here.t, step), max(there.t - t, 0.0)
         place = here.place + on * slope - on * left * bend
         error = BEND_ERROR * math.hypot(*bend.tolist()) * on * left

@@ -26,8 +26,6 @@ from swarmtrack.team.reported_places import Report, ReportedPlaces, SaidPlace
 
 # s: so long after the last motion report a place in a report is what tells where it is.
 _MOTION_LASTS_S = 3.0
-# s between two reports whose difference is a velocity.
-_VELOCITY_LEAST_S, _VELOCITY_MOST_S = 0.3, 2.5
 
 
 @dataclass(slots=True, eq=False)
@@ -83,20 +81,26 @@ class Teammate:
         """It says where it is, and perhaps that it doubts it."""
         sigma = sigma_per_axis(announcement.position_cov)
         self.doubting = sigma > DOUBTS_M and self.knows_start
-        if (not self.doubting and not self.adrift.is_at(announcement.t, sigma)) or not self.path:
-            self.path.append(Report(announcement.t, announcement.position, None))
+        lost = self.doubting or self.adrift.is_at(announcement.t, sigma)
+        if not self.path or not (lost or self._measures_motion(announcement.t)):
+            t, place = announcement.t, announcement.position
+            # Of whoever announces itself and reports nothing, it is not known how it came there.
+            reports = bool(self.path) and self.path.last.velocity is not None
+            self.path.append(Report(t, place, self.path.velocity_to(place, t) if reports else None))
 
     def report(self, report: SightingReport) -> None:
         """It says with what it sees where it is. Of another process of its, nothing is known of the frame."""
         if report.boot != self.boot or self.adrift.is_at(report.t, report.position_sigma):
             return
-        if report.t - self._motion_t <= _MOTION_LASTS_S:
+        if self._measures_motion(report.t):
             return
-        velocity, last = None, self.path.last
-        if _VELOCITY_LEAST_S < report.t - last.t < _VELOCITY_MOST_S:
-            velocity = (report.position - last.place) / (report.t - last.t)
+        velocity = self.path.velocity_to(report.position, report.t)
         sigma = report.position_sigma if report.leans_on else 0.0
         self.path.append(Report(report.t, report.position, velocity, t_sigma=report.t_sigma, sigma=sigma))
+
+    def _measures_motion(self, t: float) -> bool:
+        """Whether it has said how it moves shortly before t [s]: what it says of its place then is vaguer."""
+        return t - self._motion_t <= _MOTION_LASTS_S
 
     def move(self, report: MotionReport) -> None:
         """It says how it moves: its displacement is counted from one place as long as its process lives."""
