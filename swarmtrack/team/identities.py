@@ -286,9 +286,9 @@ class Identities:
         self._proofs = {id: proof for id, proof in found.items() if proof is not None}
 
     def _find_astray(self, t: float) -> tuple[Astray, ...]:
-        """The drones that are elsewhere than they say, once each."""
+        """The drones that are elsewhere than they say, once each; looked for when names are weighed."""
         found: list[Astray] = []
-        if self._posterior.p_fault > P_FAULT_SILENT:
+        if self._posterior.p_fault > P_FAULT_SILENT or self._posterior.weighed_t != t:
             return ()
         for (id, drone), proof in self._proofs.items():
             is_shown = self._alive[id].t == t and self._alive[id].coasting_since is None

@@ -111,7 +111,8 @@ class Named(NamedTuple):
 
 
 class TeamPosterior:
-    """Takes reports and scans. `named`, by track, and `p_fault` hold after each."""
+    """Takes reports and scans. `named`, by track, and `p_fault` hold after each; weighed_t [s]: the scan in which they
+    were worked out last."""
 
     def __init__(self, own: int, *, cameras: int, start_sigma_m: float) -> None:
         """own: our ID. start_sigma_m: how well this drone knows where it starts, m per axis."""
@@ -134,7 +135,7 @@ class TeamPosterior:
         self._sure_t: dict[int, float] = {}
         """By track, when it was named surely, s."""
         self._agreed: defaultdict[int, list[AgreedMotion]] = defaultdict(list)
-        self._weighed = -math.inf
+        self.weighed_t = -math.inf
         self._weighed_since_motion = 0
         """How often, since what motion alone says was worked out last."""
         self._team_has_changed = False
@@ -309,8 +310,8 @@ class TeamPosterior:
         self._compare(scan, new, self.teammates.values())
         if self._team_has_changed:
             self._compare_undetected(scan)
-        compared |= self._follow(scan) and t - self._weighed >= ROUND_S
-        is_due = t - self._weighed >= CALM_WEIGHED_EVERY_S
+        compared |= self._follow(scan) and t - self.weighed_t >= ROUND_S
+        is_due = t - self.weighed_t >= CALM_WEIGHED_EVERY_S
         if new or self._team_has_changed or is_due or (compared and not self._is_calm):
             self._weigh(t)
         self._remember(scan)
@@ -532,7 +533,7 @@ class TeamPosterior:
     # --- what it makes of it ---
 
     def _weigh(self, t: float) -> None:
-        self._weighed = t
+        self.weighed_t = t
         if not self.teammates:
             self.named = {}
             return
