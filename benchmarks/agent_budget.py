@@ -13,6 +13,7 @@ import copy
 import math
 import os
 import time
+from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple
 
@@ -22,6 +23,8 @@ from swarmtrack.benchmarks.figures import Figure, median_s
 from swarmtrack.benchmarks.lone_agent import (
     CAMERA,
     FPS,
+    PATIENCE_S,
+    Heard,
     agent_process,
     listening,
     scripted_agent,
@@ -29,6 +32,7 @@ from swarmtrack.benchmarks.lone_agent import (
 )
 from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
 from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.seen_team import IN_VIEW, STARTS, seen_team
 from swarmtrack.benchmarks.trackers.timing import at_cost
 from swarmtrack.detection.detector import Detector
 from swarmtrack.messages import Frame, Scan, StampKind
@@ -38,6 +42,7 @@ from swarmtrack.wire.health import HealthMessage
 
 LOOK_MS = 20.0  # what the default model takes at 640 × 480 on one core of a server
 SETTLE_S = 3.0  # after the first tracks: caches warm, the clock map converged
+TEAMS = (5, 10, 30)
 UPDATE_BUDGET_MS = {"kalman": 0.3, "jpdaf": 0.6, "gmphd": 0.8, "mbm": 2.0}
 
 
@@ -49,6 +54,7 @@ def measured(args: argparse.Namespace) -> list[Figure]:
         *detector_lines(max(repeats // 10, 10)),
         *agent_lines(args.tracker, seconds),
         *prompt_lines(args.tracker, seconds / 2.0),
+        *team_lines(args.tracker, seconds, TEAMS[:1] if args.quick else TEAMS),
         *detecting_lines(args.tracker, seconds),
         *startup_lines(1 if args.quick else 3),
     ]
@@ -135,6 +141,17 @@ def prompt_lines(tracker: str, seconds: float) -> list[Figure]:
     return [Figure("the same, p95, with a detector that takes no time at all", p95, "ms")]
 
 
+def team_lines(tracker: str, seconds: float, teams: Sequence[int]) -> list[Figure]:
+    """Agents of teams, without the detector: five tracks, of which all are teammates in a team of more than five."""
+    lines = []
+    for n in teams:
+        measured = asyncio.run(_measure_in_team(tracker, seconds, n))
+        who = f"agent without the detector, 5 tracks, team of {n}:"
+        lines.append(Figure(f"{who} CPU", measured.cpu_percent, "% of a core"))
+        lines.append(Figure(f"{who} memory", measured.rss_mb, "MB"))
+    return lines
+
+
 def detecting_lines(tracker: str, seconds: float) -> list[Figure]:
     """An agent whose detector looks at every frame."""
     measured = measure_agent(tracker, seconds, ["--detector"])
@@ -173,6 +190,31 @@ async def _measure_agent(tracker: str, seconds: float, options: list[str], *, th
         await agent.stop_listening()
         await asyncio.sleep(SETTLE_S)
         return measured._replace(unheard_cpu_percent=await _cpu_percent(process.pid, seconds))
+
+
+async def _measure_in_team(tracker: str, seconds: float, n: int) -> Measured:
+    """In a team of n, from when it names all of it that it sees."""
+    options = ["--fps", str(FPS), "--look-ms", str(LOOK_MS)]
+    entries = {"tracker.name": tracker, **STARTS}
+    async with scripted_agent(options, entries) as agent, seen_team(agent.team, n):
+        await until_named(agent.heard, set(IN_VIEW[: n - 1]))
+        await asyncio.sleep(SETTLE_S)
+        agent.heard.latencies.clear()
+        cpu_percent = await _cpu_percent(agent.process.pid, seconds)
+        p50, p95 = (1e3 * float(latency) for latency in np.percentile(agent.heard.latencies, [50, 95]))
+        health = await agent.heard.next_health()
+        return Measured(cpu_percent, rss_mb(agent.process.pid), (p50, p95), health)
+
+
+async def until_named(heard: Heard, drones: set[int]) -> None:
+    """Until each of these drones, and no other, is the name of a track; BenchmarkError after `PATIENCE_S`."""
+    deadline, named = time.monotonic() + PATIENCE_S, set[int | str | None]()
+    while named != drones:
+        if time.monotonic() > deadline:
+            raise BenchmarkError(f"agent: expected tracks named {sorted(drones)}, found {named}")
+        await asyncio.sleep(0.1)
+        tracks = () if heard.tracks is None else heard.tracks.tracks
+        named = {track.identity for track in tracks if track.identity not in (None, "foreign")}
 
 
 async def _cpu_percent(pid: int, seconds: float) -> float:

@@ -33,6 +33,8 @@ from swarmtrack.wire.tracks import TracksMessage
 
 CAMERA = PinholeCamera(430.0, 430.0, 319.5, 239.5, 640, 480)
 IMU_HZ, POSE_HZ, FPS = 200, 50, 15.0
+HOVERS_AT = np.array([0.0, 0.0, -2.5])
+"""(3,) m: level, and it looks north."""
 PATIENCE_S = 60.0  # for an agent to show its first track, and its health
 
 
@@ -67,6 +69,7 @@ class Heard:
     first_track_at: float | None = None
     latencies: list[float] = field(default_factory=list)
     health: HealthMessage | None = None
+    tracks: TracksMessage | None = None
     _exposure: float = 0.0
 
     def receive(self, kind: Kind, payload: bytes) -> None:
@@ -74,7 +77,7 @@ class Heard:
         if kind is Kind.HEALTH:
             self.health = codec.decode(HealthMessage, payload)
         elif kind is Kind.TRACKS:
-            message = codec.decode(TracksMessage, payload)
+            self.tracks = message = codec.decode(TracksMessage, payload)
             exposure = message.t_utc_s - message.scan_age_s
             if any(track.status == "confirmed" for track in message.tracks) and self.first_track_at is None:
                 self.first_track_at = arrived
@@ -203,7 +206,7 @@ def _due_messages(sample: int, rng: np.random.Generator) -> list[Any]:
     if sample % (IMU_HZ // POSE_HZ) == 0:
         t_ms = t_us // 1000
         messages.append(common.MAVLink_attitude_quaternion_message(t_ms, 1.0, 0.0, 0.0, 0.0, x, y, z))
-        messages.append(common.MAVLink_local_position_ned_message(t_ms, 0.0, 0.0, -2.5, 0.0, 0.0, 0.0))
+        messages.append(common.MAVLink_local_position_ned_message(t_ms, *HOVERS_AT.tolist(), 0.0, 0.0, 0.0))
     if sample % IMU_HZ == 0:
         kind, maker = common.MAV_TYPE_QUADROTOR, common.MAV_AUTOPILOT_PX4
         messages.append(common.MAVLink_heartbeat_message(kind, maker, 0, 0, common.MAV_STATE_ACTIVE, 3))

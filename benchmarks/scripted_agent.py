@@ -31,7 +31,7 @@ from swarmtrack.detection.expectation import Expectation
 from swarmtrack.follower import Engagement, LocalSetpoint
 from swarmtrack.formation.setpoint import Setpoint, Why
 from swarmtrack.log_lines import AGENT_FORMAT, log_to_stderr
-from swarmtrack.messages import Detections, Frame, Image, LinkStatus, StampKind
+from swarmtrack.messages import Array, Detections, Frame, Image, LinkStatus, StampKind
 from swarmtrack.outputs.console import Console
 from swarmtrack.runtime.agent import Agent
 from swarmtrack.runtime.assembly import assemble
@@ -68,13 +68,20 @@ class ScriptedCamera:
         pass
 
 
+def centres(t: float, width: int, height: int) -> Array:
+    """(5, 2) px: where drones are found at t [s]."""
+    phase = 0.7 * t + np.arange(len(PLACES))
+    path = 30.0 * np.stack([np.sin(phase), np.cos(phase)], axis=1)
+    return np.asarray(np.array([width, height]) * PLACES + path)
+
+
 class ScriptedDetector:
     """Finds five drones in whatever it is shown, after `look_s` seconds; with `real`, after that one has looked."""
 
     def __init__(self, real: Detector | None, look_s: float, width: int, height: int) -> None:
         self._real = real
         self._look_s = look_s
-        self._centre = np.array([width, height]) * PLACES
+        self._size = width, height
         self._rng = np.random.default_rng(1)
 
     def plan(self, frame: Frame, expectation: Expectation | None = None) -> Look:
@@ -86,9 +93,7 @@ class ScriptedDetector:
             self._real.detect(look)
         else:
             time.sleep(self._look_s)  # in the detector's own thread, as the real one
-        phase = 0.7 * frame.t + np.arange(n)
-        path = 30.0 * np.stack([np.sin(phase), np.cos(phase)], axis=1)
-        centre = self._centre + path + CENTRE_SIGMA * self._rng.standard_normal((n, 2))
+        centre = centres(frame.t, *self._size) + CENTRE_SIGMA * self._rng.standard_normal((n, 2))
         size, score = np.full((n, 2), 30.0), np.full(n, 0.9)
         return Detections(frame.t, frame.sequence, centre, size, score, camera=frame.camera)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Sequence
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple
 
@@ -93,7 +93,7 @@ class ScriptedDrone:
         }
         self.look_around(cameras)
         self._sequence = 0
-        self.team: list[ScriptedDrone] = []
+        self.team: Sequence[ScriptedDrone] = ()
         rng = np.random.default_rng(drone_id)
         row = np.linspace(0.0, 1.0, CAMERA.height)[:, None, None]
         sky, ground = (

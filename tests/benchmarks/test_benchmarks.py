@@ -5,6 +5,7 @@ import json
 import subprocess
 import sys
 from importlib import import_module
+from unittest.mock import MagicMock
 
 import cv2
 import numpy as np
@@ -15,6 +16,8 @@ from swarmtrack.agents import main as swarmtrack
 from swarmtrack.agents.bench import BENCHMARKS
 from swarmtrack.benchmarks import agent_budget, lone_agent, real_clips, report, rotating_observer
 from swarmtrack.benchmarks.report import BenchmarkError
+from swarmtrack.benchmarks.scripted_agent import centres
+from swarmtrack.benchmarks.seen_team import IN_VIEW, SeenTeammate
 from swarmtrack.config.drone import load_config
 from swarmtrack.training import labelled_clips
 from swarmtrack.training.labelled_clips import find_clips, read_truth
@@ -248,3 +251,19 @@ def test_what_is_not_finite_becomes_null_in_json(tmp_path):
     written = json.loads((tmp_path / "x.json").read_text(encoding="utf-8"))
     assert (written["a"], written["b"]) == (None, [None, 1.0])
     assert written["machine"]["python"]
+
+
+def test_a_team_stands_where_the_scripted_detector_finds_it():
+    drones = [SeenTeammate(MagicMock(), "team", drone_id) for drone_id in range(1, 31)]
+    for drone in drones:
+        drone.team = drones
+    seen = drones[0]._in_view(5.0)
+    assert set(IN_VIEW) <= set(seen)
+    found = centres(5.0, lone_agent.CAMERA.width, lone_agent.CAMERA.height)
+    for drone_id, pixel in zip(IN_VIEW, found, strict=True):
+        assert lone_agent.CAMERA.project(seen[drone_id].vector[None])[0][0] == pytest.approx(pixel, abs=0.1)
+    # All others are behind it, apart from each other, and look at it.
+    behind = [drone for drone in drones if drone.drone_id > IN_VIEW[-1]]
+    assert all(drone.position(5.0)[0] < -5.0 for drone in behind)
+    assert len({tuple(drone.position(5.0)) for drone in behind}) == len(behind)
+    assert all(1 in drone._in_view(5.0) for drone in drones[1:])
