@@ -139,6 +139,8 @@ class TeamPosterior:
         self._weighed_since_motion = 0
         """How often, since what motion alone says was worked out last."""
         self._team_has_changed = False
+        self._has_turned = False
+        """Whether the own heading has stepped since names were weighed."""
 
     @property
     def p_fault(self) -> float:
@@ -215,6 +217,7 @@ class TeamPosterior:
         for mate in self.teammates.values():
             mate.turn(to_old, forward)
         self.mixture.turn(angle, list(self._tracks.values()))
+        self._has_turned = True
         self._scans = [deque(scan.turned(forward) for scan in scans) for scans in self._scans]
 
     def begin_again(self) -> None:
@@ -298,7 +301,8 @@ class TeamPosterior:
         for id in [id for id in self._tracks if id not in alive]:
             self._end(id, t)
         # Pasts are of what was compared before; but a teammate that has just come is compared first.
-        if self._watch(scan) and not self._team_has_changed:
+        any_back = self._watch(scan)
+        if (any_back or self._has_turned) and not self._team_has_changed:
             self._weigh(t)
         compared = self._compare_rounds(scan)
         # A teammate that has just come is new to all.
@@ -533,7 +537,7 @@ class TeamPosterior:
     # --- what it makes of it ---
 
     def _weigh(self, t: float) -> None:
-        self.weighed_t = t
+        self.weighed_t, self._has_turned = t, False
         if not self.teammates:
             self.named = {}
             return

@@ -204,6 +204,15 @@ def test_names_outlast_a_heading_that_steps(observer):
     assert observer.identities.self_doubt
 
 
+def test_a_teammate_is_where_it_was_in_the_very_scan_after_a_heading_stepped(observer):
+    observer.sees(4.0, a=LEFT, b=RIGHT)
+    step = math.radians(25.0)
+    observer.attitude = rotation.from_euler(0.0, 0.0, step) @ observer.attitude
+    observer.identities.step_heading(observer.t, step)
+    observer.sees(SCAN_S, a=LEFT, b=RIGHT)
+    assert observer.identities.frame(2).turn == pytest.approx(step, abs=math.radians(6.0))
+
+
 def test_a_drone_that_has_said_nothing_for_long_keeps_its_track(observer):
     for _ in range(8):
         observer.is_told(3, RIGHT)
