@@ -23,11 +23,10 @@ from swarmtrack.benchmarks.figures import Figure, median_s
 from swarmtrack.benchmarks.lone_agent import (
     CAMERA,
     FPS,
-    PATIENCE_S,
-    Heard,
     agent_process,
     listening,
     scripted_agent,
+    until_named,
     until_tracking,
 )
 from swarmtrack.benchmarks.processes import cpu_seconds, rss_mb
@@ -197,20 +196,9 @@ async def _measure_in_team(tracker: str, seconds: float, n: int) -> tuple[float,
     options = ["--fps", str(FPS), "--look-ms", str(LOOK_MS)]
     entries = {"tracker.name": tracker, **STARTS}
     async with scripted_agent(options, entries) as agent, seen_team(agent.team, n):
-        await until_named(agent.heard, set(IN_VIEW[: n - 1]))
+        await until_named(agent.process, agent.heard, set(IN_VIEW[: n - 1]))
         await asyncio.sleep(SETTLE_S)
         return await _cpu_percent(agent.process.pid, seconds), rss_mb(agent.process.pid)
-
-
-async def until_named(heard: Heard, drones: set[int]) -> None:
-    """Until each of these drones, and no other, is the name of a track; BenchmarkError after `PATIENCE_S`."""
-    deadline, named = time.monotonic() + PATIENCE_S, set[int | str | None]()
-    while named != drones:
-        if time.monotonic() > deadline:
-            raise BenchmarkError(f"agent: expected tracks named {sorted(drones)}, found {named}")
-        await asyncio.sleep(0.1)
-        tracks = () if heard.tracks is None else heard.tracks.tracks
-        named = {track.identity for track in tracks if track.identity not in (None, "foreign")}
 
 
 async def _cpu_percent(pid: int, seconds: float) -> float:

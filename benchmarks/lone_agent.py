@@ -69,7 +69,8 @@ class Heard:
     first_track_at: float | None = None
     latencies: list[float] = field(default_factory=list)
     health: HealthMessage | None = None
-    tracks: TracksMessage | None = None
+    named: set[int] = field(default_factory=set)
+    """The drones that are names of tracks, by the last message."""
     _exposure: float = 0.0
 
     def receive(self, kind: Kind, payload: bytes) -> None:
@@ -77,7 +78,8 @@ class Heard:
         if kind is Kind.HEALTH:
             self.health = codec.decode(HealthMessage, payload)
         elif kind is Kind.TRACKS:
-            self.tracks = message = codec.decode(TracksMessage, payload)
+            message = codec.decode(TracksMessage, payload)
+            self.named = {track.identity for track in message.tracks if isinstance(track.identity, int)}
             exposure = message.t_utc_s - message.scan_age_s
             if any(track.status == "confirmed" for track in message.tracks) and self.first_track_at is None:
                 self.first_track_at = arrived
@@ -98,12 +100,22 @@ class Heard:
 
 
 async def until_tracking(process: subprocess.Popen[bytes], heard: Heard) -> None:
+    """Until it has a confirmed track; BenchmarkError if it ends before, or after `PATIENCE_S`."""
+    await _until(process, lambda: heard.first_track_at is not None, "a confirmed track")
+
+
+async def until_named(process: subprocess.Popen[bytes], heard: Heard, drones: set[int]) -> None:
+    """Until each of these drones, and no other, is the name of a track; BenchmarkError as of `until_tracking`."""
+    await _until(process, lambda: heard.named == drones, f"tracks of drones {sorted(drones)}")
+
+
+async def _until(process: subprocess.Popen[bytes], holds: Callable[[], bool], expected: str) -> None:
     deadline = time.monotonic() + PATIENCE_S
-    while heard.first_track_at is None:
+    while not holds():
         if process.poll() is not None:
-            raise BenchmarkError(f"agent: ended with {process.returncode} before its first track")
+            raise BenchmarkError(f"agent: ended with {process.returncode}, expected {expected}")
         if time.monotonic() > deadline:
-            raise BenchmarkError(f"agent: no confirmed track was heard within {PATIENCE_S:g} s")
+            raise BenchmarkError(f"agent: expected {expected}, heard of none within {PATIENCE_S:g} s")
         await asyncio.sleep(0.02)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections import deque
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any, NamedTuple
 
@@ -93,7 +93,7 @@ class ScriptedDrone:
         }
         self.look_around(cameras)
         self._sequence = 0
-        self.team: Sequence[ScriptedDrone] = ()
+        self.team: list[ScriptedDrone] = []
         rng = np.random.default_rng(drone_id)
         row = np.linspace(0.0, 1.0, CAMERA.height)[:, None, None]
         sky, ground = (
@@ -262,19 +262,30 @@ class ScriptedDrone:
 @asynccontextmanager
 async def scripted_team(team: str, n: int, cameras: int = 1) -> AsyncIterator[list[ScriptedDrone]]:
     """n of them, 1 … n, on one circle, each with so many cameras."""
+    radius = 4.0 + 0.6 * n
+
+    def made(session: zenoh.Session, drone_id: int) -> ScriptedDrone:
+        angle = 2.0 * math.pi * (drone_id - 1) / n
+        return ScriptedDrone(session, team, drone_id, angle=angle, radius=radius, cameras=cameras)
+
+    async with speaking(team, n, made) as drones:
+        yield drones
+
+
+@asynccontextmanager
+async def speaking(
+    team: str, n: int, made: Callable[[zenoh.Session, int], ScriptedDrone], *, first: int = 1
+) -> AsyncIterator[list[ScriptedDrone]]:
+    """n drones, 1 … n, of which those from `first` on speak; made: makes one of an ID, in a session."""
     session = await open_session(NetworkSettings(team=team))
-    drones = [
-        ScriptedDrone(
-            session, team, i + 1, angle=2.0 * math.pi * i / n, radius=4.0 + 0.6 * n, cameras=cameras
-        )
-        for i in range(n)
-    ]
+    drones = [made(session, drone_id) for drone_id in range(1, n + 1)]
     try:
         for drone in drones:
             drone.team = drones
+        for drone in drones[first - 1 :]:
             drone.start()
         yield drones
     finally:
-        for drone in drones:
+        for drone in drones[first - 1 :]:
             drone.fall_silent()
         await close_session(session, [])

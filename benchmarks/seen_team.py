@@ -5,19 +5,16 @@ The agent is drone 1. The others stand behind it, and all look at it.
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager
 
 import numpy as np
 import zenoh
 
 from swarmtrack.benchmarks.lone_agent import CAMERA, HOVERS_AT
 from swarmtrack.benchmarks.scripted_agent import PLACES, centres
-from swarmtrack.benchmarks.scripted_team import ScriptedDrone
+from swarmtrack.benchmarks.scripted_team import ScriptedDrone, speaking
 from swarmtrack.geometry.rotation import BODY_FROM_FORWARD_CAMERA
 from swarmtrack.messages import Array
-from swarmtrack.transport.settings import NetworkSettings
-from swarmtrack.transport.zenoh_session import close_session, open_session
 
 IN_VIEW = tuple(range(2, 2 + len(PLACES)))
 """The drones that are found, in the order of `PLACES`."""
@@ -53,18 +50,6 @@ class SeenTeammate(ScriptedDrone):
         return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
-@asynccontextmanager
-async def seen_team(team: str, n: int) -> AsyncIterator[None]:
+def seen_team(team: str, n: int) -> AbstractAsyncContextManager[list[ScriptedDrone]]:
     """A team of n, the agent included, speaks meanwhile."""
-    session = await open_session(NetworkSettings(team=team))
-    drones = [SeenTeammate(session, team, drone_id) for drone_id in range(1, n + 1)]
-    try:
-        for drone in drones:
-            drone.team = drones
-        for drone in drones[1:]:
-            drone.start()
-        yield
-    finally:
-        for drone in drones[1:]:
-            drone.fall_silent()
-        await close_session(session, [])
+    return speaking(team, n, lambda session, drone_id: SeenTeammate(session, team, drone_id), first=2)

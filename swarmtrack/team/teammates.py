@@ -85,8 +85,8 @@ class Teammate:
         if not self.path or not (lost or self._measures_motion(announcement.t)):
             t, place = announcement.t, announcement.position
             # Of whoever announces itself and reports nothing, it is not known how it came there.
-            reports = bool(self.path) and self.path.last.velocity is not None
-            self.path.append(Report(t, place, self.path.velocity_to(place, t) if reports else None))
+            velocity = self.path.velocity_to(place, t) if self._reports else None
+            self.path.append(Report(t, place, velocity))
 
     def report(self, report: SightingReport) -> None:
         """It says with what it sees where it is. Of another process of its, nothing is known of the frame."""
@@ -148,7 +148,12 @@ class Teammate:
 
     def goes_on(self, t: float) -> bool:
         """Whether it reports regularly, so that another report follows within REPORT_WAIT_S."""
-        return self.path.last.velocity is not None and self.has_spoken_since(t - REPORT_WAIT_S)
+        return self._reports and self.has_spoken_since(t - REPORT_WAIT_S)
+
+    @property
+    def _reports(self) -> bool:
+        """Whether it has said where it is again and again, and not only announced itself."""
+        return bool(self.path) and self.path.last.velocity is not None
 
     def told(self, t: float) -> Array:
         """(8, 8): what its ended tracks say of its frame at t."""

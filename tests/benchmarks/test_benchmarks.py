@@ -1,5 +1,6 @@
 """The benchmarks' own promises: what they score, what they refuse, and that they run; never how fast."""
 
+import asyncio
 import csv
 import json
 import subprocess
@@ -267,3 +268,24 @@ def test_a_team_stands_where_the_scripted_detector_finds_it():
     assert all(drone.position(5.0)[0] < -5.0 for drone in behind)
     assert len({tuple(drone.position(5.0)) for drone in behind}) == len(behind)
     assert all(1 in drone._in_view(5.0) for drone in drones[1:])
+
+
+@pytest.mark.long("flies an agent in a team for ten seconds")
+def test_an_agent_of_a_team_is_measured_once_it_names_all_that_it_sees(monkeypatch):
+    monkeypatch.setattr(agent_budget, "SETTLE_S", 0.5)
+    cpu, memory = agent_budget.team_lines("kalman", 1.5, [5])
+    assert 0.0 < cpu.value < 100.0
+    assert 50.0 < memory.value < 1000.0
+
+
+def test_an_agent_that_ends_or_names_others_is_not_waited_for_forever(monkeypatch):
+    monkeypatch.setattr(lone_agent, "PATIENCE_S", 0.05)
+    heard = lone_agent.Heard(named={3})
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as process:
+        asyncio.run(lone_agent.until_named(process, heard, {3}))
+        with pytest.raises(BenchmarkError, match=r"expected tracks of drones \[2, 3\]"):
+            asyncio.run(lone_agent.until_named(process, heard, {2, 3}))
+        process.kill()
+        process.wait()
+        with pytest.raises(BenchmarkError, match="ended with"):
+            asyncio.run(lone_agent.until_tracking(process, heard))
