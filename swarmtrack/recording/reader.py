@@ -6,6 +6,7 @@ or broken recording has no index, so files are read from their beginning, record
 
 from __future__ import annotations
 
+import contextlib
 import json
 import struct
 import zlib
@@ -79,15 +80,22 @@ class Segment:
         """Messages of these topics (None: all) in the order of writing. Raises RecordingError for a file that is not
         MCAP.
         """
-        try:
-            file: IO[bytes] = self.path.open("rb", buffering=READ_AHEAD_BYTES)
-        except OSError as error:
-            raise RecordingError(f"{self.path}: {error.strerror}, expected a recording") from error
-        with file:
+        with self._opened() as file:
             if file.read(len(MCAP_MAGIC)) != MCAP_MAGIC:
                 raise RecordingError(f"{self.path}: is not an MCAP file, expected a recording")
             self.damage, self._declared, self._noted = None, 0, 0
             yield from self._records(file, topics)
+
+    def _opened(self) -> IO[bytes]:
+        """Its writer may have completed it since it was found, and given it its last name."""
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                return self.path.open("rb", buffering=READ_AHEAD_BYTES)
+            if self.path.suffix == ACTIVE:
+                self.path = self.path.with_suffix("")
+            return self.path.open("rb", buffering=READ_AHEAD_BYTES)
+        except OSError as error:
+            raise RecordingError(f"{self.path}: {error.strerror}, expected a recording") from error
 
     def _records(self, file: IO[bytes], topics: Collection[str] | None) -> Iterator[Message]:
         checksum, chunked = zlib.crc32(MCAP_MAGIC), False
@@ -227,11 +235,8 @@ def files_below(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise RecordingError(f"{path}: no such file or folder, expected a recording")
-    found = sorted(
-        p
-        for p in path.rglob("*")
-        if p.name.endswith((RECORDING_SUFFIX, RECORDING_SUFFIX + ACTIVE)) and p.is_file()
-    )
+    named = [p for p in path.rglob("*") if p.name.endswith((RECORDING_SUFFIX, RECORDING_SUFFIX + ACTIVE))]
+    found = sorted(p for p in named if p.is_file() or p.suffix == ACTIVE)
     if not found:
         raise RecordingError(f"{path}: holds no {RECORDING_SUFFIX} file, expected a recording")
     return found

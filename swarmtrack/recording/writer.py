@@ -27,6 +27,8 @@ from swarmtrack.recording.limits import CHUNK_FLUSH_S, LEAST_SEGMENTS, RECORDING
 
 ACTIVE = ".active"
 RECORDING_SUFFIX = ".mcap"
+# Until its preface is written: a reader beside us finds no file without one.
+_BEGUN = ".begun"
 
 PREFACE = "swarmtrack.recording"
 """Name of the metadata that every segment begins with."""
@@ -221,9 +223,9 @@ class RecordingWriter:
         if self._stopped or now < self._retry_at:
             return False
         self._number += 1
-        path = self.folder / f"{self._number:04}{RECORDING_SUFFIX}{ACTIVE}"
+        begun = self.folder / f"{self._number:04}{_BEGUN}"
         try:
-            file = _File(path)
+            file = _File(begun)
         except OSError as error:
             self._fail(error, now)
             return False
@@ -244,7 +246,12 @@ class RecordingWriter:
                 data=attachment.data,
             )
         writer.flush()
-        self._open = _Open(path, file, writer, since=now, flushed=now)
+        self._open = current = _Open(begun, file, writer, since=now, flushed=now)
+        if file.error is None:
+            try:
+                current.path = begun.rename(begun.with_suffix(f"{RECORDING_SUFFIX}{ACTIVE}"))
+            except OSError as error:
+                file.error = error
         if file.error is not None:
             self._give_up(self._open, now)
             return False

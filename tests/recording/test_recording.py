@@ -222,6 +222,33 @@ def test_what_is_being_written_can_be_read_but_not_repaired(tmp_path):
     assert numbers(tmp_path) == list(range(500))
 
 
+def test_at_any_moment_what_is_there_of_a_recording_can_be_read(tmp_path, monkeypatch):
+    real, looks = os.write, []
+
+    def watched(descriptor, data):
+        if list(tmp_path.rglob("*.mcap*")):
+            looks.append(len(numbers(tmp_path)))
+        return real(descriptor, data)
+
+    monkeypatch.setattr("swarmtrack.recording.writer.os.write", watched)
+    write(tmp_path / "life", 10.0, segment_s=3.0)
+    assert looks == sorted(looks)
+    assert looks[0] == 0
+    assert looks[-1] > 950
+
+
+def test_a_file_that_is_completed_after_it_was_found_is_read_by_its_new_name(tmp_path):
+    writer = write(tmp_path / "life", 5.0, close=False)
+    (found,) = files_below(tmp_path)
+    assert found.name == "0001.mcap.active"
+    (recording,) = recordings_below(tmp_path)
+    writer.close(5.0)
+    assert len(list(recording.messages())) == 500
+    found.with_suffix("").unlink()
+    with pytest.raises(RecordingError, match=r"0001\.mcap: No such file"):
+        list(recording.messages())
+
+
 @pytest.mark.parametrize("seed", range(12))
 def test_a_file_cut_anywhere_becomes_a_complete_one(tmp_path, seed):
     write(tmp_path / "life", 5.0)

@@ -10,6 +10,8 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -357,14 +359,24 @@ def test_the_difference_of_two_replays_by_hand():
 # --- real processes -------------------------------------------------------------------------------
 
 
+@contextmanager
+def ended(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
+    """It is, with its block: where that fails, Popen alone would wait for a process that flies on."""
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
 def agent(
     folder: Path, *options: str, record: Path | None = None, recording: str = ""
-) -> subprocess.Popen[str]:
+) -> AbstractContextManager[subprocess.Popen[str]]:
     config = folder / "drone.toml"
     config.write_text(
         f'extends = "{ROOT}/configs/sim.toml"\n[recording]\ndir = "{record or folder / "rec"}"\n{recording}'
     )
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(config), "--quiet", *options],
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         cwd=folder,
@@ -372,6 +384,7 @@ def agent(
         stderr=subprocess.PIPE,
         text=True,
     )
+    return ended(process)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -532,7 +545,7 @@ def test_record_hears_the_swarm_until_ctrl_c(tmp_path):
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     argv = [sys.executable, "-m", "swarmtrack.agents.main", "record", str(tmp_path / "rec"), "--team", team]
-    with subprocess.Popen(argv, env=environment, stdout=subprocess.PIPE, text=True) as recorder:
+    with ended(subprocess.Popen(argv, env=environment, stdout=subprocess.PIPE, text=True)) as recorder:
         assert recorder.stdout.readline().startswith(f"recording team {team} into ")
         flight = [sys.executable, "-m", "swarmtrack.agents.vehicle", "--config", str(config), "--quiet"]
         subprocess.run([*flight, "--seconds", "4"], env=environment, check=True, timeout=PATIENCE)
