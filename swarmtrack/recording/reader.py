@@ -87,7 +87,7 @@ class Segment:
             yield from self._records(file, topics)
 
     def _opened(self) -> IO[bytes]:
-        """Its writer may have completed it since it was found, and given it its last name."""
+        """By its last name where its writer has completed it since it was found."""
         try:
             with contextlib.suppress(FileNotFoundError):
                 return self.path.open("rb", buffering=READ_AHEAD_BYTES)
@@ -235,8 +235,9 @@ def files_below(path: Path) -> list[Path]:
         return [path]
     if not path.is_dir():
         raise RecordingError(f"{path}: no such file or folder, expected a recording")
-    named = [p for p in path.rglob("*") if p.name.endswith((RECORDING_SUFFIX, RECORDING_SUFFIX + ACTIVE))]
-    found = sorted(p for p in named if p.is_file() or p.suffix == ACTIVE)
+    named = {p for p in path.rglob("*") if p.name.endswith((RECORDING_SUFFIX, RECORDING_SUFFIX + ACTIVE))}
+    # One that is completed just now may be listed by both of its names.
+    found = sorted(p for p in named if p.is_file() or (p.suffix == ACTIVE and p.with_suffix("") not in named))
     if not found:
         raise RecordingError(f"{path}: holds no {RECORDING_SUFFIX} file, expected a recording")
     return found

@@ -30,9 +30,10 @@ def repair(path: Path) -> Repaired | None:
     segment = Segment(path)
     if _is_being_written(path):
         raise RecordingError(f"{path}: is being written just now, expected a recording that has ended")
-    is_active = path.name.endswith(ACTIVE)
     for _ in segment.messages():
         pass
+    path = segment.path  # its writer may have completed it meanwhile
+    is_active = path.name.endswith(ACTIVE)
     if segment.damage is None and not is_active:
         return None
     target = path.with_suffix("") if is_active else path

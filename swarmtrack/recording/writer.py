@@ -246,12 +246,13 @@ class RecordingWriter:
                 data=attachment.data,
             )
         writer.flush()
-        self._open = current = _Open(begun, file, writer, since=now, flushed=now)
+        path = begun
         if file.error is None:
             try:
-                current.path = begun.rename(begun.with_suffix(f"{RECORDING_SUFFIX}{ACTIVE}"))
+                path = begun.rename(begun.with_suffix(f"{RECORDING_SUFFIX}{ACTIVE}"))
             except OSError as error:
                 file.error = error
+        self._open = _Open(path, file, writer, since=now, flushed=now)
         if file.error is not None:
             self._give_up(self._open, now)
             return False

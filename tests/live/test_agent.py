@@ -19,6 +19,7 @@ import pytest
 
 from support.called import called
 from support.clips import shorten
+from support.launcher import ended
 from support.patience import PATIENCE, until
 from support.places import ROOT
 from swarmtrack.agents import vehicle
@@ -175,15 +176,11 @@ def test_the_simulation_shows_every_teammate_by_its_id(tmp_path):
         named = [{track["identity"] for track in tracks} >= {2, 3} for tracks in scans]
         return len(named) >= 8 and sum(named) > 0.6 * len(named)
 
-    with subprocess.Popen(
-        command(config), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as agent:
-        try:
-            until(mostly_named, "both teammates are named in most scans")
-            agent.terminate()
-            said, complained = agent.communicate(timeout=PATIENCE)
-        finally:
-            agent.kill()
+    flying = subprocess.Popen(command(config), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    with ended(flying) as agent:
+        until(mostly_named, "both teammates are named in most scans")
+        agent.terminate()
+        said, complained = agent.communicate(timeout=PATIENCE)
     assert agent.returncode == 0, complained
     assert "announced teammates: 2, 3" in said
 

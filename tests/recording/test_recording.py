@@ -237,16 +237,28 @@ def test_at_any_moment_what_is_there_of_a_recording_can_be_read(tmp_path, monkey
     assert looks[-1] > 950
 
 
-def test_a_file_that_is_completed_after_it_was_found_is_read_by_its_new_name(tmp_path):
+def test_a_file_that_is_completed_after_it_was_found_is_read_by_its_new_name(tmp_path, monkeypatch):
     writer = write(tmp_path / "life", 5.0, close=False)
     (found,) = files_below(tmp_path)
     assert found.name == "0001.mcap.active"
     (recording,) = recordings_below(tmp_path)
     writer.close(5.0)
     assert len(list(recording.messages())) == 500
-    found.with_suffix("").unlink()
+    # A listing may have had both names.
+    completed = found.with_suffix("")
+    monkeypatch.setattr(Path, "rglob", lambda folder, pattern: [found, completed])
+    assert files_below(tmp_path) == [completed]
+    completed.unlink()
     with pytest.raises(RecordingError, match=r"0001\.mcap: No such file"):
         list(recording.messages())
+
+
+def test_what_its_writer_completes_just_now_needs_no_repair(tmp_path, monkeypatch):
+    writer = write(tmp_path / "life", 5.0, close=False)
+    # The writer ends between the look at its lock and the reading.
+    monkeypatch.setattr("swarmtrack.recording.repair._is_being_written", lambda path: writer.close(5.0))
+    assert repair(tmp_path / "life" / "0001.mcap.active") is None
+    assert [path.name for path in (tmp_path / "life").iterdir()] == ["0001.mcap"]
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -10,8 +10,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,6 +19,7 @@ import numpy as np
 import pytest
 
 from support.clips import shorten
+from support.launcher import ended
 from support.patience import PATIENCE, until
 from support.places import ROOT
 
@@ -357,16 +357,6 @@ def test_the_difference_of_two_replays_by_hand():
 
 
 # --- real processes -------------------------------------------------------------------------------
-
-
-@contextmanager
-def ended(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
-    """It is, with its block: where that fails, Popen alone would wait for a process that flies on."""
-    with process:
-        try:
-            yield process
-        finally:
-            process.kill()
 
 
 def agent(

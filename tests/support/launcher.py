@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from support.patience import PATIENCE
@@ -26,6 +28,16 @@ def start(folder: Path, *arguments: str, program: str = "swarmtrack.agents.main"
         env=environment(folder),
         cwd=ROOT,
     )
+
+
+@contextmanager
+def ended(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
+    """Ends the process with the block. Where the block fails, Popen's own context would wait for it for ever."""
+    with process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
