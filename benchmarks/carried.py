@@ -2,8 +2,9 @@
 
 Scenario `gps-denied` in the virtual swarm: four drones, 6 to 12 m apart, tell their velocities; one, the victim, loses
 its autopilot's position for a minute, or has one that drifts or is spoofed. In rows *by two*, *by one* and *by none* so
-many teammates are in its view, and see it, from the loss on. A liar states a place that leaves the true one by 0.5 m/s,
-from the loss on, and rays that are 20° off.
+many teammates are in its view from the loss on; of these drone 3, 12 m away, always sees it, and drone 2, 7 m away, is
+at the image's border, leaves it for seconds, and looks elsewhere. A liar states a place that leaves the true one by
+0.5 m/s, from the loss on, and rays that are 20° off. Widths of boxes err as much as the detector's model says.
 
 * place error: of the stated place against the truth, from 2 s after the loss to its end: median and 95 %, m.
 * heading error: of the autopilot's heading as the filter corrects it: 95 %, degrees.
@@ -33,6 +34,7 @@ from swarmtrack.geometry import rotation
 from swarmtrack.lab.scenarios.files import load_scenario
 from swarmtrack.lab.scenarios.scenario import Scenario
 from swarmtrack.messages import Array, Detections, EgoPose, PeerArrived, SightingReport
+from swarmtrack.relative.box_width import BoxWidth
 from swarmtrack.relative.parameters import RelativeParameters
 
 VICTIM, LIAR = 1, 3
@@ -42,8 +44,8 @@ BEGIN_S = 2.0
 DRIFT_M_S = 0.3
 SPOOFED_M, SPOOFED_S = 10.0, 20.0
 LIE_M_S, LIE_RAD = 0.5, math.radians(20.0)
-# px: a detection nearer to a drone that is to be out of view is one of it.
-HIDDEN_PX = 25.0
+# px: a detection that is this near to a drone is one of it.
+NEAR_PX = 25.0
 
 
 class Kind(NamedTuple):
@@ -62,13 +64,32 @@ class Kind(NamedTuple):
 KINDS = (
     Kind("gps-denied, by three"),
     Kind("gps-denied, by two", by=(2, 3)),
-    Kind("gps-denied, by one", by=(2,)),
+    Kind("gps-denied, by one", by=(3,)),
+    Kind("gps-denied, by one, which does not see it", by=(2,)),
     Kind("gps-denied, by none", by=()),
     Kind("drift of 0.3 m/s", lost=(), drift=DRIFT_M_S),
     Kind("spoofed by 10 m in 20 s", lost=(), drift=SPOOFED_M / SPOOFED_S, until=SPOOFED_S),
     Kind("nobody knows", lost=(1, 2, 3, 4)),
     Kind("gps-denied, and one lies", lies=True),
 )
+
+
+class _Widths:
+    """By how much boxes are too wide: each drone's for good, and each observer's of it within seconds."""
+
+    def __init__(self, scenario: Scenario, model: BoxWidth) -> None:
+        self._model, self._chance = model, scenario.world.chance("widths of boxes", 0)
+        self._lasting = {d: model.drone_sigma * self._chance.standard_normal() for d in scenario.members}
+        self._wandering: dict[tuple[int, int], tuple[float, float]] = {}
+        """By observer and drone: when it was seen last, s, and the error then."""
+
+    def of(self, observer: int, drone: int, t: float) -> float:
+        """The width of a box at t [s], over the true one."""
+        seen_t, error = self._wandering.get((observer, drone), (-math.inf, 0.0))
+        kept = math.exp((seen_t - t) / self._model.wander_s)
+        fresh = math.sqrt(1.0 - kept * kept) * self._model.wander_sigma * self._chance.standard_normal()
+        self._wandering[observer, drone] = t, kept * error + fresh
+        return math.exp(self._lasting[drone] + kept * error + fresh)
 
 
 class CarriedSwarm(VirtualSwarm):
@@ -82,6 +103,7 @@ class CarriedSwarm(VirtualSwarm):
         # Simulated autopilots are better than agents are told that autopilots are.
         stated = {drone: as_stated(scenario.world, drone) for drone in scenario.members}
         relative = RelativeParameters(airframe_span_m=span)
+        self._widths = _Widths(scenario, relative.box_width)
         super().__init__(scenario, eyes=self._look, relative=relative, mistakes=stated)
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
@@ -97,24 +119,26 @@ class CarriedSwarm(VirtualSwarm):
         return pose
 
     def _look(self, seen: Exposure) -> Detections:
-        """Without the drones that are to be out of view."""
+        """Without the drones that are to be out of view, with boxes that err as the detector's model says."""
         found, by = self._sees(seen), self._kind.by
-        if seen.t < LOST_S or not len(found):
-            return found
-        others = [d for d in self.scenario.members if d != VICTIM and d not in by]
-        hidden = others if seen.drone_id == VICTIM else [VICTIM] if seen.drone_id in others else []
-        keep = np.ones(len(found), bool)
+        members = self.scenario.members
+        hidden = [d for d in members if d not in by] if seen.drone_id == VICTIM else [VICTIM]
+        if seen.t < LOST_S or seen.drone_id in by:
+            hidden = []
+        keep, width = np.ones(len(found), bool), np.ones((len(found), 1))
         camera = self.scenario.cameras[seen.camera]
         own = self.scenario.world.pose(seen.drone_id, seen.t) @ camera.body_from_camera
-        for other in hidden:
+        for other in members:
             there = own.rotation.T @ (self.scenario.world.pose(other, seen.t).position - own.position)
-            if there[2] > 0.1:
-                at = camera.lens.project(there[None])[0]
-                keep &= np.linalg.norm(found.centre - at, axis=1) > HIDDEN_PX
+            if other == seen.drone_id or there[2] < 0.1:
+                continue
+            is_it = np.linalg.norm(found.centre - camera.lens.project(there[None])[0], axis=1) <= NEAR_PX
+            keep &= ~is_it if other in hidden else True
+            width[is_it] = self._widths.of(seen.drone_id, other, seen.t)
         return dataclasses.replace(
             found,
             centre=found.centre[keep],
-            size=found.size[keep],
+            size=(found.size * width)[keep],
             score=found.score[keep],
             covariance=None if found.covariance is None else found.covariance[keep],
             likeness=None if found.likeness is None else found.likeness[keep],

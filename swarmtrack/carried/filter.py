@@ -2,19 +2,20 @@
 
 Theory of operation. One state holds all that is unknown: the own place p and velocity v; by how much the autopilot's
 position is off, o; its attitude's error θ; and of each teammate how far off its stated place is, f, its attitude's
-error, and the lasting error s of its boxes. With d a stated direction and u the unit vector of what lies between:
+error, and the errors of the width of its boxes, s that lasts and w that wanders. With d a stated direction and u the
+unit vector of what lies between:
 
     own ray to j       d + θ × d = u,      u along (said − f) − (p + lever)
-    its width          ln(W / w) = ln|(said − f) − (p + lever)| + s
+    its width          ln(W / w) = ln|(said − f) − (p + lever)| + s + w
     ray of j to us     d + θⱼ × d = u,     u along p − (stated camera − f)
     own autopilot      z = p + o
 
 All of these are one extended Kalman filter. An error that lasts is a state, so many rays do not make it small.
 
 The source of false positions is a discrete state: none, the own autopilot, or one teammate. The position of that source
-walks 25 times as fast, so its positions count little, and its motion still counts. This is an
-interacting multiple model estimator (Bar-Shalom, Li & Kirubarajan 2001, section 11.6.6): a filter per mode, all of the
-same size, in one batch. What is read is the mixture's mean and covariance.
+drifts at an unknown rate, which is a state as well, so its positions count little, and its motion still counts. This is
+an interacting multiple model estimator (Bar-Shalom, Li & Kirubarajan 2001, section 11.6.6): a filter per mode, all of
+the same size, in one batch. What is read is the mixture's mean and covariance.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ import numpy as np
 
 from swarmtrack.carried.priors import (
     ADRIFT_WALK_M_SQRT_S,
+    DRIFT_LASTS_S,
+    DRIFT_SIGMA_M_S,
     FALSE_PER_S,
     NEAREST_ANCHOR_M,
     OWN_SPEED_LASTS_S,
@@ -43,11 +46,13 @@ from swarmtrack.carried.priors import (
 from swarmtrack.geometry.rotation import hat
 from swarmtrack.messages import Array
 from swarmtrack.relative.gates import GATE
-from swarmtrack.relative.log_range import across, unit_decay
+from swarmtrack.relative.log_range import SizeErrors, across, unit_decay
 
 OWN_PLACE, OWN_SPEED, AUTOPILOT_OFFSET, OWN_TURN = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
-_OWN: Final = 12
-_EACH: Final = 7
+_DRIFT, _OWN = slice(12, 15), 15
+_EACH: Final = 8
+_LASTING_WIDTH, _WANDERING_WIDTH = 6, 7
+"""Columns of a teammate."""
 _WALKS: Final = np.array([TILT_WALK_RAD_SQRT_S, TILT_WALK_RAD_SQRT_S, TURN_WALK_RAD_SQRT_S]) ** 2
 _LOG_2PI: Final = math.log(2.0 * math.pi)
 _EYE: Final = np.eye(3)
@@ -57,7 +62,8 @@ NO_PUSH: Final = np.zeros(3)
 class OwnRay(NamedTuple):
     """A ray of ours to a teammate: its stated place (3,) m and that place's variance [m² per axis]; direction (3,) and
     its covariance (3, 3) rad² in our axes; lever (3,) m: our camera less our body; log_range: by the box's width, NaN
-    where that tells none, how many times the width's lasting error is in it, and the variance of the rest."""
+    where that tells none, how many times the width's lasting error is in it and its wandering one, and the variance of
+    the rest."""
 
     said: Array
     said_var: float
@@ -66,6 +72,7 @@ class OwnRay(NamedTuple):
     lever: Array
     log_range: float = math.nan
     lasting: float = 1.0
+    wandering: float = 1.0
     range_var: float = 1.0
 
 
@@ -87,18 +94,59 @@ class Moments(NamedTuple):
     cov: Array
 
 
+class _ExpectedRay(NamedTuple):
+    """What is expected of a ray by each mode. axes (3, 2) across the stated direction; aside (m, 2): the direction on
+    them, and across (m, 2, 3) per metre of what lies between; log_range (m,), and along (m, 3) per metre; r (m,) m;
+    bent (m,) rad²: second order of a place that is known badly."""
+
+    axes: Array
+    aside: Array
+    across: Array
+    log_range: Array
+    along: Array
+    r: Array
+    bent: Array
+
+    @classmethod
+    def as_angles(cls, q: Array, d: Array, r: Array, bent: Array) -> _ExpectedRay:
+        """Between places that are known well; q (m, 3) m from the one to the other, r (m,) m apart."""
+        axes, u = across(d[None])[0], q / r[:, None]
+        turned = (axes.T - (u @ axes)[:, :, None] * u[:, None, :]) / r[:, None, None]
+        return cls(axes, u @ axes, turned, np.log(r), u / r[:, None], r, bent)
+
+    @classmethod
+    def in_metres(cls, q: Array, d: Array, r: Array) -> _ExpectedRay:
+        """Beside a ray, and along it at the distance r (m,) m: linear, however badly places are known."""
+        axes, r_ = across(d[None])[0], r[:, None]
+        along = np.broadcast_to(d, q.shape) / r_
+        return cls(
+            axes, q @ axes / r_, axes.T / r_[:, None], np.log(r) + q @ d / r - 1.0, along, r, np.zeros(len(r))
+        )
+
+
 class OwnPlaceFilter:
     """All modes at once: x (m, n), P (m, n, n), weights (m,), at time `t` [s]. Mode 0: positions are sound; 1: not the
     autopilot's; 2 + k: not those of teammate k."""
 
-    def __init__(self, t: float, place: Moments, speed: Moments, offset_cov: Array, turn_cov: Array) -> None:
+    def __init__(
+        self,
+        t: float,
+        place: Moments,
+        speed: Moments,
+        offset_cov: Array,
+        turn_cov: Array,
+        *,
+        width: SizeErrors,
+    ) -> None:
         """place (3,) m, speed (3,) m/s: of this drone by its autopilot; offset_cov (3, 3) m²: how far off that may be;
         turn_cov (3, 3) rad²: of its attitude."""
         self.t = t
+        self._width = width
         x, P = np.zeros(_OWN), np.zeros((_OWN, _OWN))
         x[OWN_PLACE], x[OWN_SPEED] = place.mean, speed.mean
         P[OWN_PLACE, OWN_PLACE], P[OWN_SPEED, OWN_SPEED] = place.cov + offset_cov, speed.cov
         P[AUTOPILOT_OFFSET, AUTOPILOT_OFFSET], P[OWN_TURN, OWN_TURN] = offset_cov, turn_cov
+        P[_DRIFT, _DRIFT] = DRIFT_SIGMA_M_S**2 * _EYE
         P[OWN_PLACE, AUTOPILOT_OFFSET] = P[AUTOPILOT_OFFSET, OWN_PLACE] = -offset_cov
         self.weights = np.array([1.0, 0.0])
         self._x, self._P = np.stack([x, x]), np.stack([P, P])
@@ -122,7 +170,8 @@ class OwnPlaceFilter:
         prior[:3, :3] = place_cov
         tilt, turn = TEAMMATE_TILT_SIGMA_RAD**2, TEAMMATE_TURN_SIGMA_RAD**2
         prior[[3, 4, 5], [3, 4, 5]] = tilt, tilt, turn
-        prior[6, 6] = width_sigma**2
+        prior[_LASTING_WIDTH, _LASTING_WIDTH] = width_sigma**2
+        prior[_WANDERING_WIDTH, _WANDERING_WIDTH] = self._width.wandering**2
         x, P = np.zeros((len(self._x) + 1, n + _EACH)), np.zeros((len(self._x) + 1, n + _EACH, n + _EACH))
         x[:-1, :n], P[:-1, :n, :n] = self._x, self._P
         x[-1, :n], P[-1, :n, :n] = self._x[0], self._P[0]
@@ -163,32 +212,55 @@ class OwnPlaceFilter:
         if dt <= 0.0:
             return
         self._mix(dt)
-        n = self._x.shape[1]
-        unit = unit_decay(dt, OWN_SPEED_LASTS_S)
-        F = np.eye(n)
-        for i in (0, 1, 2):
-            F[i, 3 + i], F[3 + i, 3 + i] = unit.phi, unit.left
-        self._x = self._x @ F.T
+        F = self._transition(dt)
+        self._x = (F @ self._x[:, :, None])[:, :, 0]
         self._x[:, OWN_PLACE] += 0.5 * dt**2 * push
         self._x[:, OWN_SPEED] += dt * push
-        self._P = F @ self._P @ F.T
-        self._P += self._noise(dt, unit.pp, unit.pv, unit.vv)
+        self._P = F @ self._P @ F.swapaxes(1, 2) + self._noise(dt)
 
-    def _noise(self, dt: float, pp: float, pv: float, vv: float) -> Array:
+    def _transition(self, dt: float) -> Array:
         """(m, n, n)"""
         modes, n = self._x.shape
-        density = 2.0 * OWN_SPEED_SIGMA_M_S**2 / OWN_SPEED_LASTS_S
+        unit, i = unit_decay(dt, OWN_SPEED_LASTS_S), np.arange(3)
+        F = np.tile(np.eye(n), (modes, 1, 1))
+        F[:, i, 3 + i], F[:, 3 + i, 3 + i] = unit.phi, unit.left
+        F[:, self._wandering, self._wandering] = math.exp(-dt / self._width.wander_s)
+        # Where all is sound, how fast a false position would drift is unknown, whatever it did before.
+        F[0, _DRIFT, _DRIFT] = 0.0
+        F[1:, _DRIFT, _DRIFT] *= math.exp(-dt / DRIFT_LASTS_S)
+        for mode, column in self._sources():
+            F[mode, column + i, _DRIFT.start + i] = dt
+        return F
+
+    def _sources(self) -> Iterator[tuple[int, int]]:
+        """Each mode but the first, and the column of whose positions are false in it."""
+        return enumerate((AUTOPILOT_OFFSET.start, *self._columns.values()), start=1)
+
+    @property
+    def _wandering(self) -> list[int]:
+        """Where the wandering errors of widths stand."""
+        return [column + _WANDERING_WIDTH for column in self._columns.values()]
+
+    def _noise(self, dt: float) -> Array:
+        """(m, n, n)"""
+        modes, n = self._x.shape
+        unit, density = unit_decay(dt, OWN_SPEED_LASTS_S), 2.0 * OWN_SPEED_SIGMA_M_S**2 / OWN_SPEED_LASTS_S
         Q = np.zeros((modes, n, n))
         i = np.arange(3)
-        Q[:, i, i], Q[:, 3 + i, 3 + i] = density * pp, density * vv
-        Q[:, i, 3 + i] = Q[:, 3 + i, i] = density * pv
-        for mode, column in enumerate((AUTOPILOT_OFFSET.start, *self._columns.values()), start=1):
+        Q[:, i, i], Q[:, 3 + i, 3 + i] = density * unit.pp, density * unit.vv
+        Q[:, i, 3 + i] = Q[:, 3 + i, i] = density * unit.pv
+        drift = _DRIFT.start + i
+        Q[0, drift, drift] = DRIFT_SIGMA_M_S**2
+        Q[1:, drift, drift] = -math.expm1(-2.0 * dt / DRIFT_LASTS_S) * DRIFT_SIGMA_M_S**2
+        wanders = -math.expm1(-2.0 * dt / self._width.wander_s)
+        Q[:, self._wandering, self._wandering] = wanders * self._width.wandering**2
+        for mode, column in self._sources():
             at = column + i
             Q[:, at, at] = PLACE_WALK_M_SQRT_S**2 * dt
             Q[mode, at, at] = ADRIFT_WALK_M_SQRT_S**2 * dt
             Q[:, 3 + at, 3 + at] = _WALKS * dt
             if column >= _OWN:
-                Q[:, column + 6, column + 6] = WIDTH_WALK_SQRT_S**2 * dt
+                Q[:, column + _LASTING_WIDTH, column + _LASTING_WIDTH] = WIDTH_WALK_SQRT_S**2 * dt
         return Q
 
     def _mix(self, dt: float) -> None:
@@ -216,31 +288,7 @@ class OwnPlaceFilter:
         self._P[:, AUTOPILOT_OFFSET] = self._P[:, :, AUTOPILOT_OFFSET] = 0.0
         self._P[:, AUTOPILOT_OFFSET, AUTOPILOT_OFFSET] = offset.cov
 
-    def let_go(self) -> None:
-        """Without any holder, forget the velocity."""
-        self._x[:, OWN_SPEED] = 0.0
-        self._P[:, OWN_SPEED] = self._P[:, :, OWN_SPEED] = 0.0
-        self._P[:, OWN_SPEED, OWN_SPEED] = OWN_SPEED_SIGMA_M_S**2 * _EYE
-
     # --- measurements: each returns whether it was believed ---
-
-    def is_vague(self, distance: float) -> bool:
-        """Whether the own place is known too badly for a ray to something at that distance [m] to be linear."""
-        worst = float(self.moments(OWN_PLACE).cov.diagonal().max())
-        return worst > (VAGUE_SHARE * distance) ** 2
-
-    def begin_at(self, drone_id: int, ray: OwnRay) -> None:
-        """The own place is known by nothing but one ray to a teammate and its width."""
-        f = self._columns[drone_id]
-        distance = math.exp(ray.log_range)
-        u, S = ray.direction, self._P[0, f + 6, f + 6]
-        along = (ray.lasting**2 * S + ray.range_var) * distance**2
-        cov = along * np.outer(u, u) + ray.said_var * _EYE + distance**2 * ray.cov
-        cov = cov + self._P[0, f : f + 3, f : f + 3] + (distance * TEAMMATE_TURN_SIGMA_RAD) ** 2 * _EYE
-        self._x[:, OWN_PLACE] = ray.said - ray.lever - distance * u
-        self._P[:, :3] = self._P[:, :, :3] = 0.0
-        self._P[:, OWN_PLACE, OWN_PLACE] = cov
-        self.let_go()
 
     def hear_autopilot(self, place: Array, var: float) -> bool:
         """The autopilot's position (3,) m ± var [m² per axis] at the filter's time."""
@@ -254,22 +302,21 @@ class OwnPlaceFilter:
         """A ray to a teammate, and its width."""
         f = self._columns[drone_id]
         q = ray.said - ray.lever - self._x[:, f : f + 3] - self._x[:, OWN_PLACE]
-        found = self._across(q, ray.direction, OWN_TURN.start)
-        if found is None:
+        width, gain = slice(f + _LASTING_WIDTH, f + _EACH), np.array([ray.lasting, ray.wandering])
+        log_range = ray.log_range - self._x[:, width] @ gain
+        expected = self._expected(q, ray.direction, np.exp(log_range))
+        if expected is None:
             return False
-        nu, H, u, r, E = found
-        J = (E.T - (u @ E)[:, :, None] * u[:, None, :]) / r[:, None, None]
-        H[:, :, OWN_PLACE] = H[:, :, f : f + 3] = -J
-        R = (E.T @ ray.cov @ E)[None] + (ray.said_var / r**2 + self._bent(r))[:, None, None] * np.eye(2)
+        nu, H = self._across(expected, ray.direction, OWN_TURN.start)
+        H[:, :, OWN_PLACE] = H[:, :, f : f + 3] = -expected.across
+        white = ray.said_var / expected.r**2 + expected.bent
+        R = (expected.axes.T @ ray.cov @ expected.axes)[None] + white[:, None, None] * np.eye(2)
         if math.isfinite(ray.log_range):
-            nu, R = (
-                np.column_stack([nu, ray.log_range - np.log(r) - ray.lasting * self._x[:, f + 6]]),
-                _padded(R),
-            )
+            nu, R = np.column_stack([nu, log_range - expected.log_range]), _padded(R)
             H = np.concatenate([H, np.zeros_like(H[:, :1])], axis=1)
-            H[:, 2, OWN_PLACE] = H[:, 2, f : f + 3] = -u / r[:, None]
-            H[:, 2, f + 6] = ray.lasting
-            R[:, 2, 2] = ray.range_var + ray.said_var / r**2 + self._bent(r)
+            H[:, 2, OWN_PLACE] = H[:, 2, f : f + 3] = -expected.along
+            H[:, 2, width] = gain
+            R[:, 2, 2] = ray.range_var + white
         return self._fold(nu, H, R)
 
     def hear_ray(self, drone_id: int, ray: TheirRay, jerked: float) -> bool:
@@ -277,36 +324,38 @@ class OwnPlaceFilter:
         velocity."""
         f = self._columns[drone_id]
         q = self._x[:, OWN_PLACE] + ray.dt * self._x[:, OWN_SPEED] + self._x[:, f : f + 3] - ray.camera
-        found = self._across(q, ray.direction, f + 3)
-        if found is None:
+        expected = self._expected(q, ray.direction)
+        if expected is None:
             return False
-        nu, H, u, r, E = found
-        J = (E.T - (u @ E)[:, :, None] * u[:, None, :]) / r[:, None, None]
-        H[:, :, OWN_PLACE] = H[:, :, f : f + 3] = J
-        H[:, :, OWN_SPEED] = ray.dt * J
-        white = ray.sigma**2 + (ray.camera_var + jerked) / r**2 + self._bent(r)
-        R = white[:, None, None] * np.eye(2)
-        return self._fold(nu, H, R)
+        nu, H = self._across(expected, ray.direction, f + 3)
+        H[:, :, OWN_PLACE] = H[:, :, f : f + 3] = expected.across
+        H[:, :, OWN_SPEED] = ray.dt * expected.across
+        white = ray.sigma**2 + (ray.camera_var + jerked) / expected.r**2 + expected.bent
+        return self._fold(nu, H, white[:, None, None] * np.eye(2))
 
-    def _bent(self, r: Array) -> Array:
-        """(m,) rad²: second order of a ray over distances r (m,) m from a place that is known badly."""
+    def _expected(self, q: Array, d: Array, measured: Array | float = math.nan) -> _ExpectedRay | None:
+        """From one drone to the other, q (m, 3) m as expected, along the stated direction d (3,); measured (m,) m: the
+        distance by a width, NaN where that tells none. None where d leads the other way."""
+        distance, has_width = np.sqrt((q * q).sum(axis=1)), np.isfinite(measured)
         vague = np.trace(self._P[:, OWN_PLACE, OWN_PLACE], axis1=1, axis2=2) / 3.0
-        return np.asarray((vague / r**2) ** 2)
-
-    def _across(self, q: Array, d: Array, turn: int) -> tuple[Array, Array, Array, Array, Array] | None:
-        """By q (m, 3) m from the one drone to the other, and the stated direction d (3,): innovation (m, 2), H
-        (m, 2, n) but for places, u (m, 3), r (m,), and the axes (3, 2) across d. turn: where the observer's attitude
-        error stands. None where it leads the other way."""
-        r = np.sqrt((q * q).sum(axis=1))
-        u = q / np.maximum(r, 1e-6)[:, None]
-        if float(self.weights @ (u @ d)) < 0.5 or r.min() < NEAREST_ANCHOR_M:
+        worst = float(self.moments(OWN_PLACE).cov.diagonal().max())
+        if worst > (VAGUE_SHARE * float(self.weights @ np.where(has_width, measured, distance))) ** 2:
+            supposed = np.hypot(np.maximum(q @ d, NEAREST_ANCHOR_M), np.sqrt(vague))
+            return _ExpectedRay.in_metres(q, d, np.where(has_width, measured, supposed))
+        if (
+            float(self.weights @ (q @ d / np.maximum(distance, 1e-6))) < 0.5
+            or distance.min() < NEAREST_ANCHOR_M
+        ):
             return None
-        E = across(d[None])[0]
+        return _ExpectedRay.as_angles(q, d, distance, (vague / distance**2) ** 2)
+
+    def _across(self, expected: _ExpectedRay, d: Array, turn: int) -> tuple[Array, Array]:
+        """Innovation (m, 2) and H (m, 2, n), but for places, of a stated direction d (3,) of an observer whose
+        attitude error stands at turn."""
         theta = self._x[:, turn : turn + 3]
-        nu = (np.cross(theta, d) - u) @ E
-        H = np.zeros((len(q), 2, self._x.shape[1]))
-        H[:, :, turn : turn + 3] = E.T @ hat(d)
-        return nu, H, u, r, E
+        H = np.zeros((len(theta), 2, self._x.shape[1]))
+        H[:, :, turn : turn + 3] = expected.axes.T @ hat(d)
+        return np.cross(theta, d) @ expected.axes - expected.aside, H
 
     def _fold(self, nu: Array, H: Array, R: Array) -> bool:
         """Innovations (m, k), H (m, k, n), R (k, k) or (m, k, k). A measurement that no mode expects is rejected."""

@@ -19,7 +19,6 @@ import numpy as np
 
 from swarmtrack.carried.filter import (
     AUTOPILOT_OFFSET,
-    NO_PUSH,
     OWN_PLACE,
     OWN_SPEED,
     OWN_TURN,
@@ -59,6 +58,8 @@ from swarmtrack.carried.thrust import TiltedThrust
 from swarmtrack.messages import Announcement, Array, SightingReport
 from swarmtrack.motion.carried_place import CarriedPlace
 from swarmtrack.motion.ego import TeamPose
+from swarmtrack.relative.box_width import BoxWidth
+from swarmtrack.relative.log_range import SizeErrors
 from swarmtrack.relative.looks import TeamLook
 from swarmtrack.relative.parameters import RelativeParameters
 from swarmtrack.team.reported_places import SaidPlace
@@ -130,7 +131,6 @@ class OwnPlace:
         """Rays that fitted while all positions were sound; and of these, while names found nothing wrong."""
         self._is_suspect = self._adrift = False
         """Whether the autopilot's position may be wrong; and whether it surely is."""
-        self._was_held = False
         self._sound: Moments | None = None
         """By how much the autopilot's position was off while it was sound."""
         self._off_m = 0.0
@@ -187,8 +187,6 @@ class OwnPlace:
         speed = float(np.linalg.norm(found.moments(OWN_SPEED).mean)) + 0.5
         place_var = OWN_PLACE_WHITE_M**2 + self._leaning_var(anchor) + (speed * report.t_sigma) ** 2
         ray = TheirRay(report.position, place_var, ours.direction, math.sqrt(white), dt)
-        if found.is_vague(float(np.linalg.norm(report.position - found.moments(OWN_PLACE).mean))):
-            return
         if found.hear_ray(drone, ray, (0.5 * REPORT_ACCELERATION_M_S2 * dt * dt) ** 2):
             anchor.saw_t = found.t
         else:
@@ -212,15 +210,13 @@ class OwnPlace:
         if t - before < (COMPARED_EVERY_S if is_placed and not self._is_suspect else 0.0):
             return
         self._compared[camera] = t
-        rays = self._rays(look, camera, own, team, t - before)
+        rays = self._rays(look, camera, own, team)
         if self._filter is None:
             if not rays:
                 return
-            self._filter = _begun(own, look.velocity, self._start_var)
+            self._filter = _begun(own, look.velocity, self._start_var, self._p.box_width)
         found = self._filter
-        push = self._thrust.push(t, own.world_from_body)
-        # Without any holder what tilts say adds up, and nothing corrects it.
-        found.predict(max(t, found.t), push if self._was_held else NO_PUSH)
+        found.predict(max(t, found.t), self._thrust.push(t, own.world_from_body))
         self._placed_t = -math.inf if newest is None else newest
         if (
             is_placed
@@ -234,17 +230,12 @@ class OwnPlace:
             self._fitted_as_configured += fitted
         if is_placed:
             self._watch(own.position, team)
-        self._hold()
 
-    def _rays(
-        self, look: TeamLook, camera: int, own: TeamPose, team: TeamKnowledge, dt: float
-    ) -> dict[int, OwnRay]:
-        """To teammates that can hold us, by drone; dt [s]: since the last ones."""
-        rays, width = {}, self._p.box_width
+    def _rays(self, look: TeamLook, camera: int, own: TeamPose, team: TeamKnowledge) -> dict[int, OwnRay]:
+        """To teammates that can hold us, by drone."""
+        rays = {}
         # While as many as there may be hold us, no others are needed.
         holders = self._filter if self._is_full(look.t) else None
-        # White noise that tells as little in the long run as what wanders.
-        often = 1.0 / math.tanh(0.5 * max(dt, 1e-3) / width.wander_s)
         for i, (drone, _) in enumerate(look.keys):
             if holders is not None and drone not in holders:
                 continue
@@ -261,7 +252,8 @@ class OwnPlace:
                 own.world_from_body @ self._cameras[camera],
                 math.log(self._p.width_m / float(look.width[i])),
                 float(self._p.lasting_by(np.array([gain]))[0]),
-                gain**2 * (width.white_sigma**2 + often * width.wander_sigma**2),
+                gain,
+                (gain * self._p.box_width.white_sigma) ** 2,
             )
         return rays
 
@@ -289,29 +281,13 @@ class OwnPlace:
             if len(found) >= ANCHORS_MOST:
                 found.remove_teammate(self._oldest(found))
             found.add_teammate(drone, anchor.place_var * _EYE, self._p.lasting)
-        distance = float(np.linalg.norm(ray.said - found.moments(OWN_PLACE).mean))
-        if math.isfinite(ray.log_range):
-            distance = math.exp(ray.log_range)
-        if distance < NEAREST_ANCHOR_M:
+        if ray.log_range < math.log(NEAREST_ANCHOR_M):
             return False
-        if found.is_vague(distance):
-            if not math.isfinite(ray.log_range):
-                return False
-            found.begin_at(drone, ray)
-        elif not found.see(drone, ray):
+        if not found.see(drone, ray):
             self.refused += 1
             return False
         anchor.seen_t = found.t
         return bool(found.weights[0] > 0.9)
-
-    def _hold(self) -> None:
-        """Does anybody hold this drone?"""
-        found = self._filter
-        assert found is not None
-        is_held = any(anchor.holds(found.t) for anchor in self._anchors.values())
-        if self._was_held and not is_held:
-            found.let_go()
-        self._was_held = is_held
 
     def _is_anchor(self, anchor: _Anchor) -> bool:
         """Whether it knows where it is, and not from us."""
@@ -407,7 +383,7 @@ class OwnPlace:
         return CarriedNews(t, carried.by, carried.sigma_m, carried.off_m)
 
 
-def _begun(own: TeamPose, velocity: Array, start_var: float) -> OwnPlaceFilter:
+def _begun(own: TeamPose, velocity: Array, start_var: float, width: BoxWidth) -> OwnPlaceFilter:
     """own: by the autopilot; it may be off by what it states, and by the start's error, for good."""
     return OwnPlaceFilter(
         own.t,
@@ -415,4 +391,5 @@ def _begun(own: TeamPose, velocity: Array, start_var: float) -> OwnPlaceFilter:
         Moments(velocity, 0.5**2 * _EYE),
         own.position_cov + start_var * _EYE,
         own.attitude_cov,
+        width=SizeErrors(width.wander_sigma, width.wander_s),
     )

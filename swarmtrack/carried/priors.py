@@ -6,17 +6,17 @@ random walk. Where nothing else is said, a value was chosen by hand and held aga
 
 import math
 
-# Own motion where no autopilot measures it, beside what tilts say of it: a velocity that forgets itself, one sigma per
-# axis.
-OWN_SPEED_SIGMA_M_S, OWN_SPEED_LASTS_S = 1.0, 8.0
+# Own motion where no autopilot measures it, beside what tilts say of it: gusts change it by 0.3 m/s
+# within a second. A velocity that forgets itself, one sigma per axis.
+OWN_SPEED_SIGMA_M_S, OWN_SPEED_LASTS_S = 0.87, 15.0
 # What of a push lasts for so long is drag, wind, or an error of the attitude; from one attitude to another that comes
 # later than this, nobody knows it; nor by a tilt whose cosine is smaller.
 STEADY_PUSH_S, PUSH_KNOWN_S, TILT_PUSHES_LEAST = 5.0, 0.5, 0.5
 # Of an autopilot's position, from one comparison to the next.
 OWN_PLACE_WHITE_M = 0.04
-# How the error of a sound autopilot's position walks, and of a teammate's; and of one that has lost its way: a metre
-# within 16 s.
-PLACE_WALK_M_SQRT_S, ADRIFT_WALK_M_SQRT_S = 0.01, 0.25
+# How the error of a sound position walks, an autopilot's or a teammate's; and that of a false one, beside its drift.
+PLACE_WALK_M_SQRT_S, ADRIFT_WALK_M_SQRT_S = 0.01, 0.04
+DRIFT_SIGMA_M_S, DRIFT_LASTS_S = 0.4, 30.0
 # How a heading's error walks, a gyro without a compass; and a tilt's. No heading is known better at first, of a
 # teammate; nor a tilt.
 TURN_WALK_RAD_SQRT_S, TILT_WALK_RAD_SQRT_S = math.radians(0.1), math.radians(0.02)
@@ -39,8 +39,8 @@ ANCHOR_VAGUE_M, ANCHOR_CARRIED_LASTS_S = 2.0, 5.0
 ANCHORS_MOST = 6
 # A ray to whom it says.
 P_RAY_SURE = 0.9
-# Nearer than this, and known worse than by this share of the distance, a ray is no linear measurement: the place begins
-# again.
+# Nearer than this no ray counts; where the own place is known worse than by this share of the distance, a ray is
+# compared in metres beside it, which is linear, and not as an angle.
 NEAREST_ANCHOR_M, VAGUE_SHARE = 0.5, 0.4
 
 # Whose word is false: the rate of each, and how soon it is right again; and the least log likelihood ratio of one

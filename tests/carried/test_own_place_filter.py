@@ -19,11 +19,13 @@ from swarmtrack.carried.filter import (
 )
 from swarmtrack.carried.priors import TEAMMATE_TILT_SIGMA_RAD, TEAMMATE_TURN_SIGMA_RAD
 from swarmtrack.messages import Array
+from swarmtrack.relative.log_range import SizeErrors
 
 EYE = np.eye(3)
 ANCHORS = {1: np.array([8.0, -4.0, -5.0]), 2: np.array([9.0, 3.0, -6.0]), 3: np.array([-7.0, 5.0, -4.5])}
 PLACE_SIGMA_M, TURN_SIGMA_RAD, WIDTH_SIGMA = 0.15, math.radians(1.5), 0.15
 RAY_SIGMA_RAD, RANGE_SIGMA = 0.005, 0.1
+WANDER = SizeErrors(0.12, 2.0)
 PERIOD_S = 0.25
 TILT_SIGMA_RAD = TEAMMATE_TILT_SIGMA_RAD
 
@@ -39,6 +41,7 @@ class Truth:
         self.off = {d: PLACE_SIGMA_M * draw(3) for d in ANCHORS}
         self.turns = {d: draw(3) * [TILT_SIGMA_RAD, TILT_SIGMA_RAD, TEAMMATE_TURN_SIGMA_RAD] for d in ANCHORS}
         self.width = {d: WIDTH_SIGMA * draw() for d in ANCHORS}
+        self.wander = {d: (0.0, WANDER.wandering * draw()) for d in ANCHORS}
         self.phase = self.rng.uniform(0.0, 6.28, 3)
 
     def place(self, t: float) -> Array:
@@ -49,11 +52,18 @@ class Truth:
         r = float(np.linalg.norm(q))
         u = q / r
         stated = _unit(u - np.cross(self.turn, u) + RAY_SIGMA_RAD * self.rng.standard_normal(3))
-        log_range = math.log(r) + self.width[d] + RANGE_SIGMA * self.rng.standard_normal()
+        width = self.width[d] + self.wander_at(d, t)
+        log_range = math.log(r) + width + RANGE_SIGMA * self.rng.standard_normal()
         cov = RAY_SIGMA_RAD**2 * EYE
-        return OwnRay(
-            ANCHORS[d] + self.off[d], 1e-4, stated, cov, np.zeros(3), log_range, 1.0, RANGE_SIGMA**2
-        )
+        said = ANCHORS[d] + self.off[d]
+        return OwnRay(said, 1e-4, stated, cov, np.zeros(3), log_range, range_var=RANGE_SIGMA**2)
+
+    def wander_at(self, d: int, t: float) -> float:
+        before, error = self.wander[d]
+        kept = math.exp((before - t) / WANDER.wander_s)
+        error = kept * error + math.sqrt(1.0 - kept**2) * WANDER.wandering * self.rng.standard_normal()
+        self.wander[d] = t, error
+        return error
 
     def their_ray(self, d: int, t: float) -> TheirRay:
         u = _unit(self.place(t) - ANCHORS[d])
@@ -68,6 +78,7 @@ class Truth:
             Moments(speed, 0.1**2 * EYE),
             PLACE_SIGMA_M**2 * EYE,
             np.diag([TILT_SIGMA_RAD**2, TILT_SIGMA_RAD**2, TURN_SIGMA_RAD**2]),
+            width=WANDER,
         )
         for d in ANCHORS:
             found.add_teammate(d, PLACE_SIGMA_M**2 * EYE, WIDTH_SIGMA)
@@ -122,6 +133,7 @@ def test_a_static_geometry_is_found_as_by_least_squares() -> None:
         Moments(np.zeros(3), EYE),
         1e-8 * EYE,
         1e-4 * EYE,
+        width=SizeErrors(0.0, 1.0),
     )
     for d in ANCHORS:
         found.add_teammate(d, PLACE_SIGMA_M**2 * EYE, WIDTH_SIGMA)
@@ -194,17 +206,27 @@ def test_with_nobody_the_place_grows_vaguer_as_it_flies() -> None:
     assert sigmas[-1] > 10.0
 
 
-def test_a_place_that_is_known_by_nothing_begins_at_a_ray_and_its_width() -> None:
-    truth = Truth(6)
-    found = flown(truth, 5.0, placed_s=5.0, by=(1, 2, 3))
-    found.predict(found.t + 60.0)
-    ray = truth.ray(1, found.t)
-    assert found.is_vague(math.exp(ray.log_range))
-    found.begin_at(1, ray)
-    place = found.moments(OWN_PLACE)
-    off = place.mean - truth.place(found.t)
-    assert float(off @ np.linalg.solve(place.cov, off)) < 21.0
-    assert math.sqrt(np.trace(place.cov)) < 5.0
+@pytest.mark.parametrize(
+    ("alone_s", "by_one_m", "by_two_m"), [(5.0, 3.0, 1.5), (15.0, 4.0, 1.5), (60.0, 7.0, 5.0)]
+)
+def test_a_place_that_has_become_vague_is_found_again_by_rays_and_a_width(
+    alone_s: float, by_one_m: float, by_two_m: float
+) -> None:
+    """After a minute, either teammate may have drifted off."""
+    squares = []
+    for seed in range(25):
+        truth = Truth(seed)
+        found = flown(truth, 5.0, placed_s=5.0, by=(1, 2, 3))
+        found.predict(found.t + alone_s)
+        assert found.see(1, truth.ray(1, found.t))
+        place = found.moments(OWN_PLACE)
+        off = place.mean - truth.place(found.t)
+        squares.append(float(off @ np.linalg.solve(place.cov, off)) / 3.0)
+        assert math.sqrt(np.trace(place.cov)) < by_one_m
+        # A teammate's ray to us, and its own place; no width.
+        assert found.hear_ray(3, truth.their_ray(3, found.t), 0.0)
+        assert math.sqrt(np.trace(found.moments(OWN_PLACE).cov)) < by_two_m
+    assert np.mean(squares) < 1.6
 
 
 def test_without_one_of_its_teammates_the_place_stays_as_it_was() -> None:
