@@ -74,7 +74,7 @@ KINDS = (
 )
 
 
-class _Widths:
+class _BoxErrors:
     """By how much boxes are too wide: each drone's for good, and each observer's of it within seconds."""
 
     def __init__(self, scenario: Scenario, model: BoxWidth) -> None:
@@ -103,7 +103,7 @@ class CarriedSwarm(VirtualSwarm):
         # Simulated autopilots are better than agents are told that autopilots are.
         stated = {drone: as_stated(scenario.world, drone) for drone in scenario.members}
         relative = RelativeParameters(airframe_span_m=span)
-        self._widths = _Widths(scenario, relative.box_width)
+        self._widths = _BoxErrors(scenario, relative.box_width)
         super().__init__(scenario, eyes=self._look, relative=relative, mistakes=stated)
 
     def _pose(self, drone_id: int, index: int) -> EgoPose:
