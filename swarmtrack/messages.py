@@ -471,13 +471,15 @@ class AnnouncementRequested:
 class Sighting:
     """One identified track, as its observer tells the team: the ray on which it sees that drone.
 
-    direction (3,): unit vector from the observer's camera, team frame; sigma: of the direction [rad].
+    direction (3,): unit vector from the observer's camera, team frame; sigma: of the direction [rad]. is_confirmed:
+    whether motion alone gives the same name, so that it does not rest on a stated start.
     """
 
     drone_id: int
     probability: float
     direction: Array
     sigma: float
+    is_confirmed: bool = False
 
     def __post_init__(self) -> None:
         _hold(self, "direction", (3,))

@@ -38,6 +38,14 @@ LOST_ATTITUDE = 0.3
 VAGUE_T, VAGUE_PLACE, VAGUE_RAY = 0.5, 10.0, 0.3
 
 
+class OwnSighting(NamedTuple):
+    """The ray to an identified drone, how surely it is that drone, and whether motion alone says so."""
+
+    ray: LastSeen
+    probability: float
+    is_confirmed: bool = False
+
+
 class Disagreement(NamedTuple):
     """observer and this drone see drone_id on rays that miss each other by miss_m metres."""
 
@@ -64,15 +72,15 @@ class OwnView:
         cls,
         observer: TeamPose,
         body_from_camera: Pose,
-        seen: Iterable[tuple[LastSeen, float]],
+        seen: Iterable[OwnSighting],
         leans_on: tuple[int, ...] = (),
     ) -> OwnView:
-        """seen: the rays to identified drones and how surely it is they; of none who does not know where it looks."""
+        """seen: the rays to identified drones; of none who does not know where it looks."""
         sightings = {
             ray.drone_id: Sighting(
-                ray.drone_id, p, ray.direction, math.hypot(ray.sigma, observer.attitude_sigma)
+                ray.drone_id, p, ray.direction, math.hypot(ray.sigma, observer.attitude_sigma), is_confirmed
             )
-            for ray, p in seen
+            for ray, p, is_confirmed in seen
             if observer.attitude_sigma < LOST_ATTITUDE
         }
         position = observer.position + observer.world_from_body @ body_from_camera.position

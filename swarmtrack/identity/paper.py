@@ -12,6 +12,7 @@ import numpy as np
 
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.consensus import OwnSighting
 from swarmtrack.identity.news import NO_NEWS, IdentityNews
 from swarmtrack.identity.reprojection import LastSeen, ObserverCamera, rays_to
 from swarmtrack.identity.teammates import Teammates
@@ -136,9 +137,9 @@ class PaperIdentities:
             for track in tracks
         )
 
-    def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
-        """The rays to identified drones that were detected in the scan of t; each is certain."""
-        return [(ray, 1.0) for ray in self._seen if ray.t == t]
+    def sightings(self, t: float) -> list[OwnSighting]:
+        """The identified drones that were detected in the scan of t; each is certain."""
+        return [OwnSighting(ray, 1.0) for ray in self._seen if ray.t == t]
 
 
 def nearest(tracks: Array, projected: Array) -> list[int]:

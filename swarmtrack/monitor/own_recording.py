@@ -13,7 +13,7 @@ from swarmtrack.clock import UTC_SIGMA
 from swarmtrack.errors import RecordingError
 from swarmtrack.geometry.pose import Pose
 from swarmtrack.geometry.rotation import to_quaternion
-from swarmtrack.identity.consensus import OwnView
+from swarmtrack.identity.consensus import OwnSighting, OwnView
 from swarmtrack.identity.reprojection import ObserverCamera, rays_to
 from swarmtrack.messages import (
     Announcement,
@@ -194,16 +194,19 @@ class DroneRecording:
             return
         tracks, observer = outputs.decode_report(self._seen.data).report.tracks, self._seen.observer
         named = [
-            (entry.identity, entry.track, entry.identity_probability)
+            (entry.identity, entry)
             for entry in tracks.tracks
             if isinstance(entry.identity, int) and entry.track.coasting_since is None
         ]
-        seen = []
+        seen: list[OwnSighting] = []
         for number, mounted in enumerate(self._cameras):
-            in_it = [one for one in named if one[1].camera == number]
+            in_it = [(drone_id, entry) for drone_id, entry in named if entry.track.camera == number]
             camera = ObserverCamera.of(observer, mounted.camera, mounted.body_from_camera)
-            rays = rays_to([(drone_id, track) for drone_id, track, _ in in_it], camera)
-            seen += list(zip(rays, (p for *_, p in in_it), strict=True))
+            rays = rays_to([(drone_id, entry.track) for drone_id, entry in in_it], camera)
+            seen += [
+                OwnSighting(ray, entry.identity_probability, entry.proof is not None)
+                for ray, (_, entry) in zip(rays, in_it, strict=True)
+            ]
         view = OwnView.of(observer, self._cameras[0].body_from_camera, seen)
         self._reports.append((t, view.report(self.drone_id, said.boot, said.sequence, ())))
 

@@ -91,6 +91,7 @@ _SIGHTING = Form(
         Entry("probability", "probability"),
         Entry("direction", "direction", (3,)),
         Entry("sigma", "sigma_rad"),
+        Entry("is_confirmed", "is_confirmed", type="boolean", added=True, sparse=True),
     ),
 )
 

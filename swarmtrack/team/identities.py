@@ -15,6 +15,7 @@ import numpy as np
 from swarmtrack.geometry.camera import PinholeCamera
 from swarmtrack.geometry.frame_transform import FrameTransform
 from swarmtrack.geometry.pose import Pose
+from swarmtrack.identity.consensus import OwnSighting
 from swarmtrack.identity.news import Astray, IdentityNews
 from swarmtrack.identity.parameters import IdentityParameters
 from swarmtrack.identity.pose_requests import PoseRequests
@@ -139,6 +140,7 @@ class Identities:
         if mate is not None and self.teammates.is_heard(report.observer):
             mate.report(report)
             self.teammates.whereabouts.report(report)
+            self._posterior.hear_rays(report)
 
     def on_motion(self, report: MotionReport) -> None:
         """A teammate says how it moves."""
@@ -161,7 +163,7 @@ class Identities:
     def said_place(self, drone_id: int, t: float) -> SaidPlace | None:
         """Where a teammate says that it was at t [s]; None where it has said nothing of that time, or has no place."""
         mate = self._posterior.teammates.get(drone_id)
-        if mate is None or not mate.knows_start or mate.doubting or mate.adrift.lost or not mate.knows(t):
+        if mate is None or not mate.is_placed or not mate.knows(t):
             return None
         return mate.at(t)
 
@@ -240,19 +242,20 @@ class Identities:
         known = bool(self.teammates.announced) and not self.teammates.unlocated and not self.self_doubt
         return {id: named.p_none for id, named in self._posterior.named.items()} if known else {}
 
-    def sightings(self, t: float) -> list[tuple[LastSeen, float]]:
-        """The rays to identified drones that were detected in the scan of t, and to those that another camera shows and
-        has just detected; and how surely it is they."""
+    def sightings(self, t: float) -> list[OwnSighting]:
+        """The identified drones that were detected in the scan of t, and those that another camera shows and has just
+        detected."""
         if self._view is None:
             return []
         found = []
         for id, ray in self._seen.items():
             p = self._names[id][1] * self._alive[id].probability
+            is_confirmed = (id, ray.drone_id) in self._proofs
             if self._alive[id].camera == self._view.number:
-                found += [(ray, p)] if ray.t == t else []
+                found += [OwnSighting(ray, p, is_confirmed)] if ray.t == t else []
             elif abs(ray.t - t) <= _RECENT_S and ray.t >= self._looked.get(self._alive[id].camera, -math.inf):
                 place = self.teammates.whereabouts.latest(ray.drone_id).position
-                found.append((seen_from(ray, place, self._view), p))
+                found.append(OwnSighting(seen_from(ray, place, self._view), p, is_confirmed))
         return found
 
     def _name(self, t: float) -> None:

@@ -80,19 +80,21 @@ def encode(message: Message, *, short: bool = False) -> bytes:
         else:
             if isinstance(message, CameraMessage):
                 data = camera.shortened(data, message)
-            elif is_shorter(message):
-                data = without_last(data)
+            else:
+                for _ in range(empty_at_end(message)):
+                    data = without_last(data)
             decode(kind, data)
     except DecodeError as error:
         raise ValueError(str(error)) from None
     return data
 
 
-def is_shorter(message: Message) -> bool:
-    """Whether a message is sent without its last field, which older readers do not have."""
-    return (isinstance(message, SightingsMessage) and not message.leans_on) or (
-        isinstance(message, HealthMessage) and message.carried is None
-    )
+def empty_at_end(message: Message) -> int:
+    """How many of its last fields a message is sent without: those that are empty, and that older readers do not
+    have."""
+    if isinstance(message, SightingsMessage) and not message.confirmed:
+        return 1 if message.leans_on else 2
+    return int(isinstance(message, HealthMessage) and message.carried is None)
 
 
 def decode(kind: type[AnyMessage], data: bytes) -> AnyMessage:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, ClassVar, Final
 
 import numpy as np
@@ -43,7 +44,8 @@ class SightingsMessage(PeerMessage, frozen=True):
     sending.
 
     sequence counts what this boot published; known: drones whose announcements the observer has; leans_on: those on
-    whom the position rests, where teammates carry the observer; else this field is not on the wire.
+    whom the position rests, where teammates carry the observer; confirmed: those in view whose names motion alone gives
+    as well. Of these two the last ones that are empty are not on the wire.
     """
 
     what: ClassVar[str] = "sightings"
@@ -53,6 +55,7 @@ class SightingsMessage(PeerMessage, frozen=True):
     known: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_KNOWN)]
     sightings: Annotated[tuple[SightingMessage, ...], Meta(max_length=MAX_SIGHTINGS)]
     leans_on: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_KNOWN)] = ()
+    confirmed: Annotated[tuple[DroneId, ...], Meta(max_length=MAX_SIGHTINGS)] = ()
 
 
 def sightings_message(report: SightingReport, utc_offset: float, now: float) -> SightingsMessage:
@@ -69,6 +72,7 @@ def sightings_message(report: SightingReport, utc_offset: float, now: float) -> 
             for s in r.sightings
         ),
         leans_on=r.leans_on,
+        confirmed=tuple(s.drone_id for s in r.sightings if s.is_confirmed),
     )
 
 
@@ -87,9 +91,17 @@ def check(message: SightingsMessage) -> None:
     for sighting in message.sightings:
         check_unit("sightings: direction", sighting.direction, "a unit vector")
     seen = [sighting.drone_id for sighting in message.sightings]
-    for name, ids in (("sightings", seen), ("known", message.known), ("leans_on", message.leans_on)):
-        if len(set(ids)) < len(ids):
-            raise DecodeError(f"sightings: {name}: names a drone twice, expected each once")
+    for name in ("known", "leans_on", "confirmed"):
+        _check_once(name, getattr(message, name))
+    _check_once("sightings", seen)
+    unseen = set(message.confirmed).difference(seen)
+    if unseen:
+        raise DecodeError(f"sightings: confirmed: has drone {min(unseen)}, expected only drones in sightings")
+
+
+def _check_once(name: str, ids: Sequence[int]) -> None:
+    if len(set(ids)) < len(ids):
+        raise DecodeError(f"sightings: {name}: names a drone twice, expected each once")
 
 
 def report_from(message: SightingsMessage, t: float, t_sigma: float) -> SightingReport:
@@ -105,7 +117,8 @@ def report_from(message: SightingsMessage, t: float, t_sigma: float) -> Sighting
         position_sigma=m.position_sigma_m,
         known=m.known,
         sightings=tuple(
-            Sighting(s.drone_id, s.probability, np.array(s.direction), s.sigma_rad) for s in m.sightings
+            Sighting(s.drone_id, s.probability, np.array(s.direction), s.sigma_rad, s.drone_id in m.confirmed)
+            for s in m.sightings
         ),
         leans_on=m.leans_on,
     )

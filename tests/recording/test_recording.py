@@ -96,7 +96,8 @@ EVENTS = [
     IdClash(3, ("a", "b"), ours=True),
     IdClash(3, (), ours=False),
     SightingReport(
-        2, "0123abcd", 9, 5.5, 0.01, np.zeros(3), 0.1, (1, 3), (Sighting(3, 0.99, np.array([0.6, 0.8, 0.0]), 0.01),)
+        2, "0123abcd", 9, 5.5, 0.01, np.zeros(3), 0.1, (1, 3),
+        (Sighting(3, 0.99, np.array([0.6, 0.8, 0.0]), 0.01, True), Sighting(4, 0.99, EYE[0], 0.01)),
     ),
     MotionReport(2, "0123abcd", 4, 5.7, 0.01, np.array(AWKWARD[:3]), EYE / 3, np.array(AWKWARD[1:4]), EYE),
     RangeReport(1, 2, 5.8, 0.01, 1 / 3, 0.1),

@@ -322,12 +322,12 @@ def test_where_a_drone_is_that_another_camera_saw_is_known_the_less_the_faster_i
         observer.moving = px_s
         observer.sees(SCAN_S, camera=1, elsewhere="a", a=LEFT, b=MIDDLE)
         observer.sees(SCAN_S, camera=0, elsewhere="b", a=LEFT, b=MIDDLE)
-        sigmas += [ray.sigma for ray, _ in observer.identities.sightings(observer.t) if ray.drone_id == 3]
+        sigmas += [ray.sigma for ray, *_ in observer.identities.sightings(observer.t) if ray.drone_id == 3]
     assert math.sqrt(sigmas[1] ** 2 - sigmas[0] ** 2) == pytest.approx(60.0 / 430.0 * SCAN_S, rel=0.05)
 
 
 def sighted(observer):
-    return sorted(ray.drone_id for ray, _ in observer.identities.sightings(observer.t))
+    return sorted(ray.drone_id for ray, *_ in observer.identities.sightings(observer.t))
 
 
 def test_a_track_that_may_have_been_a_teammate_is_no_surer_when_it_comes_back():

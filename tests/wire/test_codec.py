@@ -355,6 +355,19 @@ def test_who_is_carried_is_on_the_wire_only_where_somebody_is() -> None:
     assert report_from(codec.decode(SightingsMessage, plain), NOW, 0.0).leans_on == ()
     with pytest.raises(DecodeError, match="leans_on: names a drone twice"):
         codec.decode(SightingsMessage, msgpack.packb([*msgpack.unpackb(plain), [3, 3]]))
+    confirmed = dataclasses.replace(
+        REPORT, sightings=(dataclasses.replace(REPORT.sightings[0], is_confirmed=True),)
+    )
+    data = codec.encode(sightings_message(confirmed, UTC_OFFSET, NOW))
+    assert msgpack.unpackb(data)[11:] == [[], [2]]
+    assert report_from(codec.decode(SightingsMessage, data), NOW, 0.0).sightings[0].is_confirmed
+    assert not report_from(codec.decode(SightingsMessage, plain), NOW, 0.0).sightings[0].is_confirmed
+    for ids, error in (
+        ([2, 2], "confirmed: names a drone twice"),
+        ([3], "confirmed: has drone 3, expected only drones"),
+    ):
+        with pytest.raises(DecodeError, match=error):
+            codec.decode(SightingsMessage, msgpack.packb([*msgpack.unpackb(plain), [], ids]))
     assert len(msgpack.unpackb(codec.encode(HEALTH))) == 18
     held = msgspec.structs.replace(HEALTH, carried=CarriedHealth((1, 3), 0.375, None))
     assert msgpack.unpackb(codec.encode(held))[18:] == [[[1, 3], 0.375, None]]
