@@ -32,6 +32,7 @@ from swarmtrack.team.priors import (
     BEARINGS_LAST_S,
     P_DOUBTING_HEADING_OFF,
     P_DOUBTING_START_OFF,
+    P_FRAME_LEAST,
     P_LOOSE_START_OFF,
     P_TEAMMATE_HEADING_OFF,
     P_TEAMMATE_START_OFF,
@@ -213,33 +214,56 @@ def _product(a: Array, b: Array) -> Array:
     return np.asarray(a[:, 0, None] * b[0] + a[:, 1, None] * b[1] + a[:, 2, None] * b[2])
 
 
-def log_evidence_of_nothing(used: NDArray[np.intp], *, doubting: bool) -> Array:
-    """(len(used),): what `Marginal.log_evidence` says of M = 0."""
-    p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
-    return np.where(used == 0, 0.0, math.log1p(-p_far))
+class FrameShares(NamedTuple):
+    """How likely a teammate's frame is as it says. start (2, c): that its start is as stated, and off by each of
+    `START_OFF_SIGMA_M`, of a team whose starts are as stated, and of one whose are not; far: that it has a heading of
+    its own that is anywhere; near: with that, that its start is as stated, or off by the least."""
+
+    start: Array
+    far: float
+    near: Array
+
+    @classmethod
+    def of(cls, off: tuple[float, float], far: float) -> FrameShares:
+        """off: that the start is off by each of these; far: that the heading is anywhere."""
+        start = np.array([(1.0 - sum(p) - far, *p) for p in (off, P_LOOSE_START_OFF)])
+        return cls(start, far, np.array([1.0 - off[0], off[0]]))
+
+    def shown(self, p: Array) -> FrameShares:
+        """Where it is known, with probabilities p (2,), that the start is as stated, or off by the least."""
+        left = max(1.0 - float(p.sum()), P_FRAME_LEAST)
+        near = np.append(p, np.zeros(self.start.shape[1] - len(p)))
+        return self._replace(start=near + left * self.start, far=left * self.far)
+
+
+AS_STATED = FrameShares.of(P_TEAMMATE_START_OFF, P_TEAMMATE_HEADING_OFF)
+"""Of a teammate that no other is known to see."""
+DOUBTED = FrameShares.of(P_DOUBTING_START_OFF, P_DOUBTING_HEADING_OFF)
+"""Of one that says that it doubts itself."""
+
+
+def log_evidence_of_nothing(used: NDArray[np.intp], far: float) -> Array:
+    """(len(used),): what `Marginal.log_evidence` says of M = 0; far: of its `FrameShares`."""
+    return np.where(used == 0, 0.0, math.log1p(-far))
 
 
 class Marginal:
     """Matrices M (n, 8, 8) of pairs with one teammate, or several, with q integrated out for each spread of starts.
 
     cov (3, 3) m²: of the stated starts, the own and the teammate's; of several (n, 1, 3, 3). spreads (c,) m,
-    increasing: `OwnErrors.spread` of the components that will be asked for; doubting: whether it says that it doubts
-    itself.
+    increasing: `OwnErrors.spread` of the components that will be asked for.
     """
 
-    def __init__(self, M: Array, cov: Array, spreads: Array, *, doubting: bool = False) -> None:
-        p_off = P_DOUBTING_START_OFF if doubting else P_TEAMMATE_START_OFF
-        p_far = P_DOUBTING_HEADING_OFF if doubting else P_TEAMMATE_HEADING_OFF
-        shares = [(1.0 - sum(p) - p_far, *p) for p in (p_off, P_LOOSE_START_OFF)]
-        self._log_shares = np.log(shares)
-        """(2, c): by how far starts are off, of a team whose starts are as stated, and of one whose are not."""
-        self._log_far_shares = math.log(p_far) + np.log([1.0 - p_off[0], p_off[0]])
-        """(2,): with a heading of its own that is anywhere, its start is as stated, or off by the least of these."""
+    def __init__(self, M: Array, cov: Array, spreads: Array, shares: FrameShares = AS_STATED) -> None:
+        self._log_shares = np.log(shares.start)
+        self._log_far_shares = math.log(shares.far) + np.log(shares.near)
         Sigma = cov + np.array(
             [(spread**2 + m**2) * _HORIZONTAL for m in (0.0, *START_OFF_SIGMA_M) for spread in spreads]
         )
         # From here on with matrices first: whole arrays are added and multiplied.
-        P, volume = _inverse(np.ascontiguousarray(Sigma.reshape(-1, len(spreads) * len(shares[0]), 3, 3).T))
+        P, volume = _inverse(
+            np.ascontiguousarray(Sigma.reshape(-1, len(spreads) * len(self._log_shares[0]), 3, 3).T)
+        )
         m = np.ascontiguousarray(M.transpose(1, 2, 0))[:, :, None]
         A_inv, determinant = _inverse(m[LEVEL:, LEVEL:] + P)
         X = _product(m[:LEVEL, LEVEL:], A_inv)
@@ -275,6 +299,11 @@ class Marginal:
         if first.size:
             found[:, first[0]] = np.logaddexp(found[:, first[0]], self._of_far(prior))
         return found
+
+    def by_start(self, prior: TeammatePrior, heading_sigma: float) -> Array:
+        """(c, n): the same by how far the teammate's start is off, where nothing is wrong with this drone."""
+        every = PriorsOfMany.of_one(prior, self._S.shape[2])
+        return self._of(0, every, np.zeros(1, int), np.array([heading_sigma]))[:, :, 0]
 
     def _of(self, spread: int, prior: PriorsOfMany, used: NDArray[np.intp], sigma: Array) -> Array:
         """(c, n, k): by how far the teammate's start is off, and by the components used."""

@@ -18,6 +18,9 @@ from numpy.typing import NDArray
 
 from swarmtrack.messages import Array, OwnFault
 from swarmtrack.team.evidence import (
+    AS_STATED,
+    DOUBTED,
+    FrameShares,
     Marginal,
     PriorsOfMany,
     Solution,
@@ -46,6 +49,7 @@ from swarmtrack.team.priors import (
     PAIRS_AT_ONCE,
     PLACE_COMPONENTS,
     PROOF_COMPONENTS,
+    RAYS_WEIGHED_EVERY_S,
     SLEEPERS_PARTS,
     SLEEPERS_PARTS_DOUBTFUL,
     SMALL_TEAM,
@@ -92,6 +96,7 @@ class JointMixture:
         self.p_fault = 0.0
         self.unlocated = 0
         self._priors: dict[int, TeammatePrior] = {}
+        self._shares: dict[int, FrameShares] = {}
         self._told = np.zeros(len(self.errors))
         self._told_t = 0.0
         self._begin()
@@ -101,6 +106,8 @@ class JointMixture:
         self.weight = np.eye(len(self.errors))[0]
         self._log_weight = np.zeros(len(self.errors))
         self._p_heading_off = np.zeros(len(self.errors))
+        self._rays_t = -math.inf
+        self._seen_by_team = np.zeros(len(self.errors))
         self._part = 0
         self.is_settled = self._is_right = False
         self.looks_at_all = True
@@ -155,8 +162,9 @@ class JointMixture:
         """(n, m): the probability that each track is each teammate. Each track remembers what it says of the
         components, and the weights of its segments."""
         used = self._awake(tracks)
+        self._look_at_rays(mates, t, known)
         log_prior, off = self.errors.log_prior(known.heading_sigma)
-        log_w = log_prior[used] + self._told_at(t)[used]
+        log_w = (log_prior + self._told_at(t) + self._seen_by_team)[used]
         pasts = [track.pasts(len(self.errors)).of((slice(None), used)) for track in tracks]
         base = [past.log for past in pasts]
         told = [track.told() for track in tracks]
@@ -232,7 +240,7 @@ class JointMixture:
             E = self._evidence(mate, before + new, used, known)
         else:
             # Out of view, as most of a large team.
-            cases, E = [], log_evidence_of_nothing(used, doubting=mate.doubting)[None]
+            cases, E = [], log_evidence_of_nothing(used, self._shares[mate.drone_id].far)[None]
         log_w = E[0] - E[0].max()
         if mate.doubting:
             log_w = log_w + math.log(DOUBTING_PADS_RATIO) * self.errors.permuted(mate.drone_id)[used]
@@ -304,7 +312,7 @@ class JointMixture:
             log = evidence + row.log[:, :, None]
             log = np.concatenate([log_sum(log[: row.whole], 0)[None], log[row.whole :]])
             into[:, :, at] = log.swapaxes(1, 2)
-        nothing = log_evidence_of_nothing(used, doubting=False)
+        nothing = log_evidence_of_nothing(used, AS_STATED.far)
         return np.asarray(len(many) * (nothing - nothing.max()))
 
     def _of_pairs(
@@ -334,7 +342,7 @@ class JointMixture:
             priors = PriorsOfMany([self._priors[mates[c].drone_id] for c in some], counts.tolist())
             marginal = Marginal(flat[part], start_cov[of[part], None], spreads)
             found[part] = _sense(marginal.log_evidence(priors, self.errors, used, known.heading_sigma))
-        found -= log_evidence_of_nothing(used, doubting=False)
+        found -= log_evidence_of_nothing(used, AS_STATED.far)
         parts = runs(c * m for c, m in shapes)
         return [found[part].reshape(*shape, len(used)) for part, shape in zip(parts, shapes, strict=True)]
 
@@ -389,13 +397,37 @@ class JointMixture:
         log = self._marginal(mate, M, used, known).log_evidence(prior, self.errors, used, known.heading_sigma)
         return _sense(log)
 
+    def _look_at_rays(self, mates: Sequence[Teammate], t: float, known: OwnKnowledge) -> None:
+        """What teammates see of each other, and of this drone."""
+        due, before = t - self._rays_t >= RAYS_WEIGHED_EVERY_S, self._shares
+        self._shares = {
+            mate.drone_id: self._shares_of(mate, t, known)
+            if due or mate.doubting or mate.drone_id not in before
+            else before[mate.drone_id]
+            for mate in mates
+        }
+        if due:
+            self._rays_t = t
+            seen = [mate.rays.seen_by_it(t, mate.drone_id, self.errors) for mate in mates]
+            self._seen_by_team = sum((one for one in seen if one is not None), np.zeros(len(self.errors)))
+
+    def _shares_of(self, mate: Teammate, t: float, known: OwnKnowledge) -> FrameShares:
+        """How likely its frame is as it says."""
+        if mate.doubting or not mate.rays:
+            return DOUBTED if mate.doubting else AS_STATED
+        cases = mate.rays.cases(t)
+        marginal = Marginal(cases.matrices, self._start_cov(mate, known), np.zeros(1))
+        log = _sense(marginal.by_start(self._priors[mate.drone_id], known.heading_sigma))
+        return AS_STATED.shown(cases.p_near(log, np.log(AS_STATED.start[0])))
+
     @staticmethod
     def _start_cov(mate: Teammate, known: OwnKnowledge) -> Array:
         return mate.start_cov + (known.start_sigma_m**2 + START_LEAST_SIGMA_M**2) * np.eye(3)
 
     def _marginal(self, mate: Teammate, M: Array, used: NDArray[np.intp], known: OwnKnowledge) -> Marginal:
         cov = self._start_cov(mate, known)
-        return Marginal(M, cov, np.unique(self.errors.spread[used]), doubting=mate.doubting)
+        shares = self._shares.get(mate.drone_id, AS_STATED)
+        return Marginal(M, cov, np.unique(self.errors.spread[used]), shares)
 
     def _awake(self, tracks: Sequence[TrackEvidence]) -> NDArray[np.intp]:
         """The components to work out now: those with weight, and a part of the sleepers, which need all pairs."""

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from swarmtrack.geometry import rotation
 from swarmtrack.geometry.frame_transform import FrameTransform
-from swarmtrack.messages import AgreedMotion, Announcement, Array
-from swarmtrack.team.adrift import Adrift
+from swarmtrack.messages import AgreedMotion, Announcement, Array, Sighting, SightingReport
+from swarmtrack.team.adrift import Adrift, sigma_per_axis
 from swarmtrack.team.comparison import Compared, ComparedTrack, compare
 from swarmtrack.team.deviation import Deviation
 from swarmtrack.team.evidence import design, turned_back
@@ -50,10 +50,13 @@ from swarmtrack.team.priors import (
     P_ELSEWHERE,
     P_FRAME_KEPT,
     P_HELD,
+    P_RAY_COUNTS,
     P_SAME_DRONE,
     P_SIZE_LEARNED,
     P_SUPPOSED,
     PAIR_WAKES_RAD,
+    RAY_M_S,
+    RAY_NEAR_S,
     REBOOTED_M,
     REPORT_WAIT_S,
     REPORTED_DEVIATION,
@@ -65,6 +68,7 @@ from swarmtrack.team.priors import (
 )
 from swarmtrack.team.reported_places import SaidPlace
 from swarmtrack.team.scan_attitude import NamedRay, ScanAttitude
+from swarmtrack.team.teammate_rays import TeammateRay
 from swarmtrack.team.teammates import Teammate
 from swarmtrack.team.track_evidence import Bearing, TrackEvidence
 
@@ -169,15 +173,60 @@ class TeamPosterior:
         known = self.teammates.get(drone)
         if known is not None and known.boot == announcement.boot:
             known.announce(announcement)
+            if known.doubting:
+                self._forget_rays(drone)
             return
         column = len(self.teammates) if known is None else known.column
         self.teammates[drone] = mate = Teammate.of(announcement, column, self._agreed[drone])
         if known is not None:
+            self._forget_rays(drone)
             self._carry(mate, announcement.t, p_same=P_SAME_DRONE, is_ours=False)
         else:
             for track in self._tracks.values():
                 track.grow(len(self.teammates))
         self._team_has_changed = True
+
+    def hear_rays(self, report: SightingReport) -> None:
+        """A teammate says along which rays it sees others, or this drone."""
+        mate = self.teammates.get(report.observer)
+        if mate is None or self._start is None or report.leans_on or self.mixture.is_large:
+            return
+        for seen in report.sightings:
+            other = self.teammates.get(seen.drone_id)
+            if seen.probability < P_RAY_COUNTS or not seen.is_confirmed:
+                continue
+            if seen.drone_id == self.own:
+                own = self._origin_at(report.t)
+                if own is not None:
+                    self._add_ray(mate, report, seen, own, self._start_sigma_m)
+            elif other is not None and other.has_spoken_since(report.t - RAY_NEAR_S):
+                said = other.at(report.t)
+                sigma = math.hypot(said.sigma, sigma_per_axis(other.start_cov))
+                self._add_ray(mate, report, seen, said.place, sigma)
+                self._add_ray(other, report, seen, report.position, sigma_per_axis(mate.start_cov))
+
+    def _add_ray(
+        self, mate: Teammate, report: SightingReport, seen: Sighting, place: Array, sigma: float
+    ) -> None:
+        """Between a teammate and another drone at place (3,) m, within sigma per axis."""
+        assert self._start is not None
+        if not mate.is_placed:
+            return
+        said = mate.at(report.t)
+        sigma_m = math.hypot(sigma, said.sigma, math.sqrt(said.white), RAY_M_S * report.t_sigma)
+        starts, places = (mate.start, self._start), (said.place, place)
+        ray = TeammateRay.between(starts, places, seen, report.t, sigma_m)
+        mate.rays.add(report.observer, seen.drone_id, ray)
+
+    def _origin_at(self, t: float) -> Array | None:
+        """Where the own camera was at about t, team frame."""
+        kept = [scan for scans in self._scans for scan in scans if abs(scan.t - t) < RAY_NEAR_S]
+        return min(kept, key=lambda scan: abs(scan.t - t)).origin if kept else None
+
+    def _forget_rays(self, drone_id: int) -> None:
+        """That drone is elsewhere than it said, or is gone."""
+        for mate in self.teammates.values():
+            mate.rays.forget(drone_id)
 
     def agree(self, motion: AgreedMotion) -> None:
         """A teammate moves like that, as was agreed before the flight."""
@@ -186,6 +235,7 @@ class TeamPosterior:
     def expel(self, drone_id: int) -> None:
         """No track has this drone's name any more. Whatever was it still is, and hence is no other teammate."""
         gone = self.teammates.pop(drone_id)
+        self._forget_rays(drone_id)
         for id, named in self.named.items():
             others = [mate.column for mate in self.teammates.values()]
             was_gone = math.log1p(named.p.get(drone_id, 0.0) / max(named.p_none, 1e-9))
@@ -292,6 +342,7 @@ class TeamPosterior:
         for mate in self.teammates.values():
             if mate.adrift.found:
                 mate.begin_frame()
+                self._forget_rays(mate.drone_id)
                 self._carry(mate, scan.t, is_ours=False)
         self._known = OwnKnowledge(self._start_sigma_m, max(known.heading_sigma, HEADING_LEAST_SIGMA_RAD))
         t, scans = scan.t, self._scans[scan.camera]

@@ -58,6 +58,15 @@ START_OFF_VERTICAL = 0.2
 # Of any stated start, beside what is stated.
 START_LEAST_SIGMA_M = 0.05
 
+# All that a teammate sees has wrong names, of drones that are where others should be; or of any others.
+P_RAYS_MISNAMED, P_RAYS_ANYWHERE = 0.05, 0.05
+# Whatever they show, so likely is that they are all wrong.
+P_FRAME_LEAST = 1e-6
+RAYS_WEIGHED_EVERY_S = 1.0
+# What it sees counts from such a probability of a name on, where places are known at most so much sooner or later; its
+# drones fly as fast as that where its clock is unsure.
+P_RAY_COUNTS, RAY_NEAR_S, RAY_M_S = 0.9, 0.5, 1.5
+
 # Whoever knows no place is within this, per axis.
 SOMEWHERE_SIGMA_M = 30.0
 

@@ -23,6 +23,7 @@ from swarmtrack.team.priors import (
     WAITING_HALF_S,
 )
 from swarmtrack.team.reported_places import Report, ReportedPlaces, SaidPlace
+from swarmtrack.team.teammate_rays import TeammateRays
 
 # s: so long after the last motion report a place in a report is what tells where it is.
 _MOTION_LASTS_S = 3.0
@@ -53,6 +54,8 @@ class Teammate:
     _told: Array = field(default_factory=lambda: np.zeros((8, 8)))
     _told_t: float = 0.0
     seen: LastSeenRay | None = None
+    rays: TeammateRays = field(default_factory=TeammateRays)
+    """Between it and others, by what it and they report."""
     p_supposed: float = 0.0
     """The probability that the last track that may have been it was it."""
     supposed_t: float = 0.0
@@ -173,6 +176,11 @@ class Teammate:
         self._told, self._told_t, self.supposed_t = self.told(t), t, last_t
         self._supposed, self.p_supposed = M, p
 
+    @property
+    def is_placed(self) -> bool:
+        """Whether it says where it is, and does not doubt that."""
+        return self.knows_start and not self.doubting and not self.adrift.lost
+
     def begin_frame(self) -> None:
         """It has found a place again. From there on it flies as it says; where that is, is as uncertain as it was."""
         self.start = self.path.last.place.copy()
@@ -184,6 +192,7 @@ class Teammate:
     def forget_frame(self) -> None:
         """What its ended tracks said was of another start of this drone."""
         self._told, self.p_supposed = np.zeros((8, 8)), 0.0
+        self.rays.forget()
 
     def turn(self, to_old: Array, forward: Array) -> None:
         """The axes of the own rays have turned: forward (3, 3) takes directions along, to_old (8, 8) z back."""

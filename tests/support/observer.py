@@ -10,7 +10,7 @@ from swarmtrack.geometry.pose import Pose
 from swarmtrack.identity.news import NO_NEWS
 from swarmtrack.identity.paper import PaperIdentities
 from swarmtrack.identity.parameters import IdentityParameters
-from swarmtrack.messages import Announcement, MotionReport, SightingReport, Track, TrackStatus
+from swarmtrack.messages import Announcement, MotionReport, Sighting, SightingReport, Track, TrackStatus
 from swarmtrack.motion.ego import TeamPose
 from swarmtrack.team.identities import Identities
 
@@ -71,11 +71,16 @@ class Observer:
         """The drone reports whom it sees, and with it where it is, ± sigma m."""
         self.is_told_at(drone_id, at(pixel, metres), boot, sigma)
 
-    def is_told_at(self, drone_id, place, boot="0000000a", sigma=0.1):
-        """The same with the place (3,) m, team frame."""
+    def is_told_at(self, drone_id, place, boot="0000000a", sigma=0.1, sees=None, is_confirmed=True):
+        """The same with the place (3,) m, team frame; sees: where the drone sees others, by drone (3,) m, and whether
+        motion confirms whom."""
         self.reports += 1
+        rays = tuple(
+            Sighting(seen, 0.99, (there - place) / np.linalg.norm(there - place), 0.01, is_confirmed)
+            for seen, there in (sees or {}).items()
+        )
         self.identities.on_report(
-            SightingReport(drone_id, boot, self.reports, self.t, 0.0, place, sigma, (), ())
+            SightingReport(drone_id, boot, self.reports, self.t, 0.0, place, sigma, (), rays)
         )
 
     def pixel_of(self, place, heading):

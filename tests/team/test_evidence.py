@@ -8,6 +8,8 @@ from scipy.stats import multivariate_normal
 
 from swarmtrack.geometry import rotation
 from swarmtrack.team.evidence import (
+    AS_STATED,
+    DOUBTED,
     Marginal,
     PriorsOfMany,
     TeammatePrior,
@@ -105,7 +107,7 @@ def drawn(found, k, cov, heading_sigma, chance, draws=2000):
 def test_each_component_is_the_integral_over_starts_and_headings(wanted, heading):
     chance = np.random.default_rng(7)
     found, k, heading_sigma = bearings(chance, heading=heading), index(**wanted), math.radians(3.0)
-    marginal = Marginal(matrix(found)[None], COV, SPREADS, doubting=False)
+    marginal = Marginal(matrix(found)[None], COV, SPREADS)
     prior = TeammatePrior.of(MATE, ERRORS)
     level = np.diag([1.0, 1.0, 0.2**2])
     parts = [
@@ -123,7 +125,7 @@ def test_each_component_is_the_integral_over_starts_and_headings(wanted, heading
 
 def test_the_right_component_explains_a_heading_that_is_off():
     found = bearings(np.random.default_rng(3), count=12, heading=math.radians(60.0))
-    marginal = Marginal(matrix(found)[None], COV, SPREADS, doubting=False)
+    marginal = Marginal(matrix(found)[None], COV, SPREADS)
     used = np.arange(len(ERRORS))
     log = marginal.log_evidence(
         PriorsOfMany.of_one(TeammatePrior.of(MATE, ERRORS), 1), ERRORS, used, math.radians(3.0)
@@ -148,7 +150,7 @@ def test_bearings_turn_along_with_a_heading_that_steps():
 def test_places_and_frames_follow_what_the_teammate_says():
     found = bearings(np.random.default_rng(11), count=20)
     M = matrix(found)
-    marginal = Marginal(M[None], COV, SPREADS, doubting=False)
+    marginal = Marginal(M[None], COV, SPREADS)
     place, way = np.array([1.0, -2.0, 0.5]), np.array([-1.0, 0.5, 0.0])
     prior = TeammatePrior.of(MATE, ERRORS)
     found = marginal.solutions(M, prior, ERRORS, k=0, heading_sigma=math.radians(3.0), far=True)
@@ -164,11 +166,11 @@ def test_places_and_frames_follow_what_the_teammate_says():
     assert math.sqrt(cov[3, 3]) < math.radians(4.0)
 
 
-@pytest.mark.parametrize("doubting", [False, True])
-def test_what_a_teammate_out_of_view_says_is_known_without_a_sum(doubting):
+@pytest.mark.parametrize("shares", [AS_STATED, DOUBTED, AS_STATED.shown(np.array([0.7, 0.2]))])
+def test_what_a_teammate_out_of_view_says_is_known_without_a_sum(shares):
     every = np.arange(len(ERRORS))
-    nothing = Marginal(np.zeros((1, 8, 8)), COV, np.unique(ERRORS.spread), doubting=doubting)
+    nothing = Marginal(np.zeros((1, 8, 8)), COV, np.unique(ERRORS.spread), shares)
     (found,) = nothing.log_evidence(
         PriorsOfMany.of_one(TeammatePrior.of(MATE, ERRORS), 1), ERRORS, every, 0.05
     )
-    assert found == pytest.approx(log_evidence_of_nothing(every, doubting=doubting), abs=1e-12)
+    assert found == pytest.approx(log_evidence_of_nothing(every, shares.far), abs=1e-12)
