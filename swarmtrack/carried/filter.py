@@ -2,12 +2,12 @@
 
 Theory of operation. One state holds all that is unknown: the own place p and velocity v; by how much the autopilot's
 position is off, o; its attitude's error θ; and of each teammate how far off its stated place is, f, its attitude's
-error, and the errors of the width of its boxes, s that lasts and w that wanders. With d a stated direction and u the
-unit vector of what lies between:
+error, the errors of the width of its boxes, s that lasts and w that wanders, and by how much its rays are late, τ. With
+d a stated direction and u the unit vector of what lies between:
 
     own ray to j       d + θ × d = u,      u along (said − f) − (p + lever)
     its width          ln(W / w) = ln|(said − f) − (p + lever)| + s + w
-    ray of j to us     d + θⱼ × d = u,     u along p − (stated camera − f)
+    ray of j to us     d + θⱼ × d = u,     u along p − τ v − (stated camera − f)
     own autopilot      z = p + o
 
 All of these are one extended Kalman filter. An error that lasts is a state, so many rays do not make it small.
@@ -35,6 +35,7 @@ from swarmtrack.carried.priors import (
     OWN_SPEED_LASTS_S,
     OWN_SPEED_SIGMA_M_S,
     PLACE_WALK_M_SQRT_S,
+    RAY_LATE_SIGMA_S,
     RIGHT_AGAIN_S,
     TEAMMATE_TILT_SIGMA_RAD,
     TEAMMATE_TURN_SIGMA_RAD,
@@ -50,8 +51,8 @@ from swarmtrack.relative.log_range import SizeErrors, across, unit_decay
 
 OWN_PLACE, OWN_SPEED, AUTOPILOT_OFFSET, OWN_TURN = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 _DRIFT, _OWN = slice(12, 15), 15
-_EACH: Final = 8
-_LASTING_WIDTH, _WANDERING_WIDTH = 6, 7
+_EACH: Final = 9
+_LASTING_WIDTH, _WANDERING_WIDTH, _LATE = 6, 7, 8
 """Columns of a teammate."""
 _WALKS: Final = np.array([TILT_WALK_RAD_SQRT_S, TILT_WALK_RAD_SQRT_S, TURN_WALK_RAD_SQRT_S]) ** 2
 _LOG_2PI: Final = math.log(2.0 * math.pi)
@@ -172,6 +173,7 @@ class OwnPlaceFilter:
         prior[[3, 4, 5], [3, 4, 5]] = tilt, tilt, turn
         prior[_LASTING_WIDTH, _LASTING_WIDTH] = width_sigma**2
         prior[_WANDERING_WIDTH, _WANDERING_WIDTH] = self._width.wandering**2
+        prior[_LATE, _LATE] = RAY_LATE_SIGMA_S**2
         x, P = np.zeros((len(self._x) + 1, n + _EACH)), np.zeros((len(self._x) + 1, n + _EACH, n + _EACH))
         x[:-1, :n], P[:-1, :n, :n] = self._x, self._P
         x[-1, :n], P[-1, :n, :n] = self._x[0], self._P[0]
@@ -302,7 +304,7 @@ class OwnPlaceFilter:
         """A ray to a teammate, and its width."""
         f = self._columns[drone_id]
         q = ray.said - ray.lever - self._x[:, f : f + 3] - self._x[:, OWN_PLACE]
-        width, gain = slice(f + _LASTING_WIDTH, f + _EACH), np.array([ray.lasting, ray.wandering])
+        width, gain = slice(f + _LASTING_WIDTH, f + _LATE), np.array([ray.lasting, ray.wandering])
         log_range = ray.log_range - self._x[:, width] @ gain
         expected = self._expected(q, ray.direction, np.exp(log_range))
         if expected is None:
@@ -323,13 +325,15 @@ class OwnPlaceFilter:
         """A ray of a teammate to us. jerked [m² per axis]: by how much the own place then is known worse than by its
         velocity."""
         f = self._columns[drone_id]
-        q = self._x[:, OWN_PLACE] + ray.dt * self._x[:, OWN_SPEED] + self._x[:, f : f + 3] - ray.camera
+        dt, speed = ray.dt - self._x[:, f + _LATE, None], self._x[:, OWN_SPEED]
+        q = self._x[:, OWN_PLACE] + dt * speed + self._x[:, f : f + 3] - ray.camera
         expected = self._expected(q, ray.direction)
         if expected is None:
             return False
         nu, H = self._across(expected, ray.direction, f + 3)
         H[:, :, OWN_PLACE] = H[:, :, f : f + 3] = expected.across
-        H[:, :, OWN_SPEED] = ray.dt * expected.across
+        H[:, :, OWN_SPEED] = dt[:, None] * expected.across
+        H[:, :, f + _LATE] = -(expected.across @ speed[:, :, None])[:, :, 0]
         white = ray.sigma**2 + (ray.camera_var + jerked) / expected.r**2 + expected.bent
         return self._fold(nu, H, white[:, None, None] * np.eye(2))
 

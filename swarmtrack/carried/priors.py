@@ -28,6 +28,8 @@ WIDTH_WALK_SQRT_S = 0.005
 OWN_RAY_WHITE_RAD, REPORTED_RAY_WHITE_RAD = 0.004, 0.010
 # Of a reported ray: so much of its stated sigma is its heading's, which is a state here.
 REPORTED_RAY_LASTING_RAD = 0.035
+# By how much a teammate's rays are late, or early: its clock, and its camera's.
+RAY_LATE_SIGMA_S = 0.1
 # Comparisons of one camera's scans: a track's error lasts about as long.
 COMPARED_EVERY_S = 0.25
 # A report farther from the last scan than this is of another time; within it the own velocity is carried over, and

@@ -196,6 +196,23 @@ def test_a_teammate_that_leaves_its_stated_place_is_not_followed() -> None:
     assert float(off @ np.linalg.solve(place.cov, off)) < 21.0
 
 
+def test_a_teammate_whose_rays_are_late_makes_no_drift_of_a_climb() -> None:
+    worst = []
+    for seed in range(8):
+        truth = Truth(seed)
+        truth.place = lambda t: np.array([0.0, 0.0, -2.0 * max(t - 5.0, 0.0)])  # type: ignore[method-assign]
+        found, suspected = flown(truth, 5.0, placed_s=5.0, by=(1,)), 0.0
+        for _ in range(16):
+            t = found.t + PERIOD_S
+            found.predict(t)
+            found.hear_autopilot(truth.place(t) + truth.offset, 0.04**2)
+            found.see(1, truth.ray(1, t))
+            found.hear_ray(1, truth.their_ray(1, t - 0.25), 0.0)
+            suspected = max(suspected, float(found.weights[1]))
+        worst.append(suspected)
+    assert np.median(worst) < 0.2  # 0.99 if rays were taken to be of their time
+
+
 def test_with_nobody_the_place_grows_vaguer_as_it_flies() -> None:
     found = flown(Truth(5), 5.0, placed_s=5.0, by=(1, 2, 3))
     sigmas = []
