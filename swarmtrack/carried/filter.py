@@ -214,25 +214,23 @@ class OwnPlaceFilter:
         if dt <= 0.0:
             return
         self._mix(dt)
-        F = self._transition(dt)
-        self._x = (F @ self._x[:, :, None])[:, :, 0]
+        for moved in (self._x[:, :, None], self._P, self._P.swapaxes(1, 2)):
+            self._move(moved, dt)
         self._x[:, OWN_PLACE] += 0.5 * dt**2 * push
         self._x[:, OWN_SPEED] += dt * push
-        self._P = F @ self._P @ F.swapaxes(1, 2) + self._noise(dt)
+        self._P += self._noise(dt)
 
-    def _transition(self, dt: float) -> Array:
-        """(m, n, n)"""
-        modes, n = self._x.shape
-        unit, i = unit_decay(dt, OWN_SPEED_LASTS_S), np.arange(3)
-        F = np.tile(np.eye(n), (modes, 1, 1))
-        F[:, i, 3 + i], F[:, 3 + i, 3 + i] = unit.phi, unit.left
-        F[:, self._wandering, self._wandering] = math.exp(-dt / self._width.wander_s)
-        # Where all is sound, how fast a false position would drift is unknown, whatever it did before.
-        F[0, _DRIFT, _DRIFT] = 0.0
-        F[1:, _DRIFT, _DRIFT] *= math.exp(-dt / DRIFT_LASTS_S)
+    def _move(self, of: Array, dt: float) -> None:
+        """In place: the transition times of (m, n, k)."""
+        unit = unit_decay(dt, OWN_SPEED_LASTS_S)
+        of[:, OWN_PLACE] += unit.phi * of[:, OWN_SPEED]
+        of[:, OWN_SPEED] *= unit.left
         for mode, column in self._sources():
-            F[mode, column + i, _DRIFT.start + i] = dt
-        return F
+            of[mode, column : column + 3] += dt * of[mode, _DRIFT]
+        # Where all is sound, how fast a false position would drift is unknown, whatever it did before.
+        of[0, _DRIFT] = 0.0
+        of[1:, _DRIFT] *= math.exp(-dt / DRIFT_LASTS_S)
+        of[:, self._wandering] *= math.exp(-dt / self._width.wander_s)
 
     def _sources(self) -> Iterator[tuple[int, int]]:
         """Each mode but the first, and the column of whose positions are false in it."""
@@ -374,9 +372,8 @@ class OwnPlaceFilter:
         weights = np.exp(log - log.max())
         self.weights = weights / weights.sum()
         self._x = self._x + (K @ nu[:, :, None])[:, :, 0]
-        A = np.eye(H.shape[2]) - K @ H
-        # Joseph form: stays symmetric and positive when R is tiny.
-        P = A @ self._P @ A.swapaxes(1, 2) + K @ R @ K.swapaxes(1, 2)
+        # Joseph form, multiplied out: stays symmetric and positive when R is tiny.
+        P = self._P - 2.0 * (PHt @ K.swapaxes(1, 2)) + K @ S @ K.swapaxes(1, 2)
         self._P = 0.5 * (P + P.swapaxes(1, 2))
         return True
 
