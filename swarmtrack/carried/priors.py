@@ -52,7 +52,7 @@ FALSE_PER_S, RIGHT_AGAIN_S = 1.0 / 900.0, 30.0
 # probability; then it does from such a probability on that its own autopilot's word is false; below the least its error
 # is known. It reports that it is adrift from this squared Mahalanobis distance on, if it is so far off; and is sound
 # again once it has been nearer for so long.
-FITTED_RAYS, P_SOUND, P_SUSPECT, P_CONFIGURED = 10, 0.02, 0.3, 0.5
+FITTED_RAYS, P_SOUND, P_SUSPECT, P_CONFIGURED = 10, 0.02, 0.6, 0.5
 ADRIFT_GATE, ADRIFT_LEAST_M, SOUND_AGAIN_S = 16.0, 0.5, 5.0
 # s: a teammate whose own sight of us, or ours of it, is older holds us no more; of what has held us the place still is
 # made for so long.
