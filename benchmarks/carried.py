@@ -7,7 +7,7 @@ at the image's border, leaves it for seconds, and looks elsewhere. A liar states
 0.5 m/s, from the loss on, and rays that are 20° off. Widths of boxes err as much as the detector's model says.
 
 * place error: of the stated place against the truth, from 2 s after the loss to its end: median and 95 %, m.
-* heading error: of the autopilot's heading as the filter corrects it: 95 %, degrees.
+* heading error: of the autopilot's heading as the filter corrects it: 95 %, rad.
 * NEES / 3: of the place: median over all comparisons.
 * said after: from the loss, or from when the drift began, until the drone says so: median and most, s. Of *by none*:
   until it says that nobody holds it.

@@ -117,12 +117,10 @@ class _ExpectedRay(NamedTuple):
 
     @classmethod
     def in_metres(cls, q: Array, d: Array, r: Array) -> _ExpectedRay:
-        """Beside a ray, and along it at the distance r (m,) m: linear, however badly places are known."""
-        axes, r_ = across(d[None])[0], r[:, None]
-        along = np.broadcast_to(d, q.shape) / r_
-        return cls(
-            axes, q @ axes / r_, axes.T / r_[:, None], np.log(r) + q @ d / r - 1.0, along, r, np.zeros(len(r))
-        )
+        """Across a ray, and along it at the distance r (m,) m: linear, however badly places are known."""
+        axes, scaled = across(d[None])[0], q / r[:, None]
+        turned, along = axes.T / r[:, None, None], d / r[:, None]
+        return cls(axes, scaled @ axes, turned, np.log(r) + scaled @ d - 1.0, along, r, np.zeros(len(r)))
 
 
 class OwnPlaceFilter:
@@ -372,7 +370,7 @@ class OwnPlaceFilter:
         weights = np.exp(log - log.max())
         self.weights = weights / weights.sum()
         self._x = self._x + (K @ nu[:, :, None])[:, :, 0]
-        # Joseph form, multiplied out: stays symmetric and positive when R is tiny.
+        # Joseph form, multiplied out: symmetric, and of second order in the rounding of K.
         P = self._P - 2.0 * (PHt @ K.swapaxes(1, 2)) + K @ S @ K.swapaxes(1, 2)
         self._P = 0.5 * (P + P.swapaxes(1, 2))
         return True

@@ -187,9 +187,12 @@ class TeamPosterior:
         self._team_has_changed = True
 
     def hear_rays(self, report: SightingReport) -> None:
-        """A teammate says along which rays it sees others, or this drone."""
+        """A teammate says along which rays it sees others, or this drone. Between drones that doubt where they are no
+        ray counts, nor one of a drone that others carry."""
         mate = self.teammates.get(report.observer)
         if mate is None or self._start is None or report.leans_on or self.mixture.is_large:
+            return
+        if report.boot != mate.boot or not mate.is_placed:
             return
         for seen in report.sightings:
             other = self.teammates.get(seen.drone_id)
@@ -199,7 +202,7 @@ class TeamPosterior:
                 own = self._origin_at(report.t)
                 if own is not None:
                     self._add_ray(mate, report, seen, own, self._start_sigma_m)
-            elif other is not None and other.has_spoken_since(report.t - RAY_NEAR_S):
+            elif other is not None and other.is_placed and other.has_spoken_since(report.t - RAY_NEAR_S):
                 said = other.at(report.t)
                 sigma = math.hypot(said.sigma, sigma_per_axis(other.start_cov))
                 self._add_ray(mate, report, seen, said.place, sigma)
@@ -210,8 +213,6 @@ class TeamPosterior:
     ) -> None:
         """Between a teammate and another drone at place (3,) m, within sigma per axis."""
         assert self._start is not None
-        if not mate.is_placed:
-            return
         said = mate.at(report.t)
         sigma_m = math.hypot(sigma, said.sigma, math.sqrt(said.white), RAY_M_S * report.t_sigma)
         starts, places = (mate.start, self._start), (said.place, place)

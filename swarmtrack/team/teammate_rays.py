@@ -17,7 +17,6 @@ from swarmtrack.team.evidence import LEVEL, design, fading
 from swarmtrack.team.log_sums import log_sum
 from swarmtrack.team.own_errors import OwnErrors, PathTurn
 from swarmtrack.team.priors import (
-    BEARINGS_LAST_S,
     NEAREST_BOX_M,
     P_RAYS_ANYWHERE,
     P_RAYS_MISNAMED,
@@ -98,13 +97,11 @@ class TeammateRays:
     def cases(self, t: float) -> RayCases:
         """What they say at t."""
         rays = list(self._rays.values())
-        times, directions, places, others, away, variance = (
-            np.array(each) for each in zip(*rays, strict=True)
-        )
+        _, directions, places, others, away, variance = (np.array(each) for each in zip(*rays, strict=True))
         G = design(places, np.zeros(3))
         G[:, :, LEVEL - 1] -= others
         across = G - directions[:, :, None] * (directions[:, None] @ G)
-        left = np.exp(np.minimum(times - t, 0.0) / BEARINGS_LAST_S)
+        left = np.array([fading(max(t - ray.t, 0.0)) for ray in rays])
         M = across.swapaxes(1, 2) @ across * (left / variance)[:, None, None]
         # Of one that leads to its target, over one to anywhere.
         log_density = left * np.log(2.0 * away**2 / variance)

@@ -159,3 +159,18 @@ def test_of_who_is_carried_or_doubts_itself_or_has_begun_anew_there_are_no_rays(
     assert rays_of(observer, 2)
     observer.hears(2, LEFT, boot="0000000b")
     assert not rays_of(observer, 2)
+
+
+@pytest.mark.parametrize("sees", [(2, 3), (3, 2)])
+def test_between_a_drone_that_doubts_itself_and_another_there_are_no_rays(observer, sees):
+    """Neither if it sees the other, nor if the other sees it."""
+    which, whom = sees
+    places = {2: at(LEFT), 3: at(RIGHT)}
+    observer.sees(1.0, a=LEFT, b=RIGHT)
+    observer.is_told_at(whom, places[whom])
+    observer.is_told_at(which, places[which], sees={whom: places[whom]})
+    assert [rays_of(observer, drone) for drone in sees] == [True, True]
+    cov = 1e6 * np.eye(3)
+    observer.identities.announce(Announcement(3, "0000000a", 2, observer.t, 0.0, at(RIGHT), np.eye(3), cov))
+    observer.is_told_at(which, places[which], sees={whom: places[whom]})
+    assert [rays_of(observer, drone) for drone in sees] == [False, False]
