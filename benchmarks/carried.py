@@ -247,7 +247,7 @@ def _rows(args: argparse.Namespace) -> list[Row]:
 BENCH = Flights(
     name="carried",
     title="Own place by teammates",
-    about="{seeds} flights a row, four drones, velocities shared at 5 Hz, errors of autopilots as stated.",
+    about="{seeds} flights a row, four drones, velocities shared at 5 Hz, errors of autopilots and boxes as stated.",
     seeds=seeds(40, quick=1),
     options=(
         option(
