@@ -82,6 +82,7 @@ class TeamKnowledge(Protocol):
 
     def said_place(self, drone_id: int, t: float) -> SaidPlace | None: ...
     def p_as_configured(self) -> float: ...
+    def is_confirmed(self, drone_id: int) -> bool: ...
 
 
 @dataclass(slots=True)
@@ -128,7 +129,8 @@ class OwnPlace:
         self._placed_t = -math.inf
         """When the autopilot last knew a position, s."""
         self._fitted = self._fitted_as_configured = 0
-        """Rays that fitted while all positions were sound; and of these, while names found nothing wrong."""
+        """Rays that fitted while all positions were sound; and of these, to drones whose names motion confirmed
+        while names found nothing wrong."""
         self._is_suspect = self._adrift = False
         """Whether the autopilot's position may be wrong; and whether it surely is."""
         self._sound: Moments | None = None
@@ -224,10 +226,12 @@ class OwnPlace:
             and not found.hear_autopilot(own.position, OWN_PLACE_WHITE_M**2)
         ):
             self.refused += 1
-        fitted = sum([self._fold(drone, ray) for drone, ray in rays.items()])
-        self._fitted += fitted
-        if fitted and not self._was_right and team.p_as_configured() > P_CONFIGURED:
-            self._fitted_as_configured += fitted
+        fitted = [drone for drone, ray in rays.items() if self._fold(drone, ray)]
+        self._fitted += len(fitted)
+        # A name that rests on stated places fits them, whatever they are.
+        confirmed = 0 if self._was_right else sum(map(team.is_confirmed, fitted))
+        if confirmed and team.p_as_configured() > P_CONFIGURED:
+            self._fitted_as_configured += confirmed
         if is_placed:
             self._watch(own.position, team)
 

@@ -118,6 +118,10 @@ class Identities:
         """The probability that nothing about this drone, or the team's pads, was wrong from the start."""
         return self._posterior.mixture.by_fault()[ConfigFault.NONE]
 
+    def is_confirmed(self, drone_id: int) -> bool:
+        """Whether motion alone gives a track this drone's name as well."""
+        return any(drone == drone_id for _, drone in self._proofs)
+
     # --- what teammates say ---
 
     def announce(self, announcement: Announcement) -> bool:
